@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Errors that are shown to a person; each carries the exit code of the command line."""
+
+from __future__ import annotations
+
+
+class GSkinError(Exception):
+    """A failure that gskin explains in one sentence (exit code 1)."""
+
+    exit_code = 1
+
+
+class InputError(GSkinError):
+    """The input cannot be used: names the file or object, the reason and the remedy (exit code 2)."""
+
+    exit_code = 2
+
+
+class Cancelled(GSkinError):
+    """The person stopped the work (exit code 130)."""
+
+    exit_code = 130
