@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+# Every target works as the first command in a fresh clone: it makes the environment when that is missing.
+VENV ?= .venv
+PYTHON ?= python3
+RUN = $(VENV)/bin/python
+STAMP = $(VENV)/gskin-setup.sha256
+
+.DEFAULT_GOAL := help
+.PHONY: help venv demo test lint zip clean
+
+help:
+	@echo 'make venv    the environment in $(VENV), with all that gskin needs'
+	@echo 'make demo    a sample character, auto-skinned, into out/demo'
+	@echo 'make test    the test suite'
+	@echo 'make lint    ruff and mypy'
+	@echo 'make zip     the Blender extension, into dist'
+
+$(STAMP): pyproject.toml tools/make_venv.py
+	@$(PYTHON) tools/make_venv.py --venv $(VENV)
+
+venv: $(STAMP)
+
+demo: $(STAMP)
+	@$(RUN) -m demo --out out/demo
+
+test: $(STAMP)
+	@$(RUN) -m pytest
+
+lint: $(STAMP)
+	@$(RUN) -m ruff check .
+	@$(RUN) -m mypy
+
+zip: $(STAMP)
+	@$(RUN) tools/build_zip.py --out dist
+
+clean:
+	rm -rf out build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
