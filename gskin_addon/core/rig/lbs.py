@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Linear blend skinning of splats: positions (Eq. 1), rotations (Eq. 3), and utilities on weights."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .quaternion import matrix_to_quat, nearest_rotation, normalize, quat_multiply, quat_to_matrix
+
+if TYPE_CHECKING:
+    from ..splats.cloud import SplatCloud
+
+Array = NDArray[Any]
+
+
+def skin_points(points: Array, weights: Array, transforms: Array) -> Array:
+    """Eq. 1: x' = sum_b w_b P_b x.
+
+    points (N, 3), weights (N, B) with rows that sum to 1, transforms (..., B, 4, 4) -> (..., N, 3), in the float type
+    of `points`.
+    """
+    points = np.asarray(points)
+    dtype = points.dtype if np.issubdtype(points.dtype, np.floating) else np.dtype(np.float64)
+    transforms = np.asarray(transforms, dtype=dtype)
+    weights = np.asarray(weights, dtype=dtype)
+    _check_shapes(len(points), weights, transforms)
+    lead, bones = transforms.shape[:-3], transforms.shape[-3]
+    out = np.empty((*lead, len(points), 3), dtype=dtype)
+    # Blending 3x4 matrices first is one matrix product per pose instead of B transformed copies of the points.
+    for index in np.ndindex(*lead):
+        blended = (weights @ transforms[index][:, :3, :].reshape(bones, 12)).reshape(-1, 3, 4)
+        out[index] = np.einsum("nij,nj->ni", blended[:, :, :3], points) + blended[:, :, 3]
+    return out
+
+
+def skin_quats(weights: Array, transforms: Array) -> Array:
+    """The blended rotation of Eq. 3: q = normalise(sum_b w_b s_b q_b), q_b the rotation of P_b.
+
+    q and -q are the same rotation, so the sum needs signs: s_b makes q_b agree with the splat's dominant bone.
+    weights (N, B), transforms (..., B, 4, 4) -> (..., N, 4) unit wxyz. Scale or shear in P_b is taken out first (polar
+    decomposition).
+    """
+    weights = np.asarray(weights)
+    transforms = np.asarray(transforms, dtype=np.float64)
+    _check_shapes(len(weights), weights, transforms)
+    quats = matrix_to_quat(nearest_rotation(transforms[..., :3, :3]))
+    dominant = np.argmax(weights, axis=1)
+    dtype = weights.dtype if np.issubdtype(weights.dtype, np.floating) else np.dtype(np.float64)
+    lead = transforms.shape[:-3]
+    out = np.empty((*lead, len(weights), 4), dtype=dtype)
+    for index in np.ndindex(*lead):
+        q = quats[index]
+        sign = np.where(q @ q.T < 0, -1.0, 1.0).astype(dtype)
+        out[index] = normalize((weights * sign[dominant]) @ q.astype(dtype))
+    return out
+
+
+def skin_cloud(cloud: SplatCloud, weights: Array, transforms: Array, *, rotate_sh: bool = True) -> SplatCloud:
+    """The posed cloud: centres by Eq. 1, covariances turned by Eq. 3, SH coefficients turned with them.
+
+    weights (N, B), transforms (B, 4, 4). With `rotate_sh=False` the coefficients stay as they are, for a renderer that
+    turns the view direction instead.
+    """
+    if np.ndim(transforms) != 3:
+        raise ValueError(f"skin_cloud takes one pose (B, 4, 4), got shape {np.shape(transforms)}")
+    turn = skin_quats(weights, transforms)
+    means = skin_points(cloud.means, weights, transforms).astype(np.float32)
+    quats = normalize(quat_multiply(turn, cloud.quats)).astype(np.float32)
+    sh = cloud.sh
+    if rotate_sh and sh.shape[1] > 1:
+        from ..splats.sh import rotate_sh as rotate
+
+        sh = np.asarray(rotate(sh, quat_to_matrix(turn)), dtype=np.float32)
+    return dataclasses.replace(cloud, means=means, quats=quats, sh=sh)
+
+
+def top_influences(weights: Array, k: int) -> tuple[Array, Array]:
+    """The k strongest bones of each splat: index (N, k) int, weight (N, k) falling, rows sum to 1; k at most B.
+
+    A row without any weight gets its first index with weight 1, so that the splat still follows a bone.
+    """
+    weights = np.asarray(weights)
+    if k < 1:
+        raise ValueError(f"at least one influence per splat is needed, got {k}")
+    k = min(k, weights.shape[1])
+    if k < weights.shape[1]:
+        index = np.argpartition(-weights, k - 1, axis=1)[:, :k]
+    else:
+        index = np.broadcast_to(np.arange(k), weights.shape).copy()
+    value = np.take_along_axis(weights, index, axis=1)
+    order = np.argsort(-value, axis=1, kind="stable")
+    index = np.take_along_axis(index, order, axis=1)
+    value = np.maximum(np.take_along_axis(value, order, axis=1), 0)
+    total = value.sum(axis=1, keepdims=True)
+    empty = total[:, 0] <= 0
+    value = value / np.where(total > 0, total, 1)
+    value[empty, 0] = 1
+    return index, value
+
+
+def sparsify(weights: Array, k: int) -> Array:
+    """Weights (N, B) with only each row's k strongest bones, normalised to sum 1."""
+    index, value = top_influences(weights, k)
+    out = np.zeros_like(np.asarray(weights))
+    np.put_along_axis(out, index, value.astype(out.dtype), axis=1)
+    return out
+
+
+def _check_shapes(points: int, weights: Array, transforms: Array) -> None:
+    if transforms.ndim < 3 or transforms.shape[-2:] != (4, 4):
+        raise ValueError(f"transforms have shape {transforms.shape}, expected (..., B, 4, 4)")
+    if weights.shape != (points, transforms.shape[-3]):
+        raise ValueError(f"weights have shape {weights.shape}, expected {(points, transforms.shape[-3])}")
