@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float32]
 AnyArray = NDArray[Any]
+Floats = NDArray[np.floating[Any]]
 
 SH_C0 = 0.28209479177387814
 """Value of the constant spherical harmonic, 1 / (2 sqrt(pi))."""
@@ -27,7 +28,7 @@ class SplatCloud:
     quats:     (N, 4) unit quaternions, wxyz; they turn the splat's own axes to the cloud's axes.
     scales:    (N, 3) linear standard deviations along the splat's own axes, metres, >= 0.
     opacities: (N,) peak opacity, 0 to 1.
-    sh:        (N, (degree + 1)^2, 3) spherical-harmonic coefficients, coefficient-major, rgb last, degree 0-4.
+    sh:        (N, (degree + 1)^2, 3) spherical-harmonic coefficients, degree 0-4, one rgb per coefficient.
     extra:     further per-splat values by PLY property name, each (N,), any number type; kept untouched.
     stored:    columns as a file held them (log scale, logit opacity, unnormalised quaternion, doubles), each
                (N,). The writer prefers them wherever they still decode to the values above, so that reading
@@ -53,7 +54,7 @@ class SplatCloud:
             if getattr(self, name).shape != shape:
                 raise ValueError(f"{name} has shape {getattr(self, name).shape}, expected {shape}")
         whole = [(degree + 1) ** 2 for degree in range(MAX_SH_DEGREE + 1)]
-        if self.sh.ndim != 3 or self.sh.shape[0] != count or self.sh.shape[1] not in whole or self.sh.shape[2] != 3:
+        if self.sh.ndim != 3 or self.sh.shape[::2] != (count, 3) or self.sh.shape[1] not in whole:
             raise ValueError(f"sh has shape {self.sh.shape}, expected ({count}, K, 3) with K in {whole}")
         for name, column in {**self.extra, **self.stored}.items():
             if column.shape != (count,):
@@ -70,7 +71,7 @@ class SplatCloud:
     @property
     def sh_degree(self) -> int:
         """Degree of the spherical harmonics, 0 to 4."""
-        return int(round(self.sh.shape[1] ** 0.5)) - 1
+        return round(self.sh.shape[1] ** 0.5) - 1
 
     def base_colors(self) -> FloatArray:
         """(N, 3) view-independent colours in 0..1: clip(0.5 + SH_C0 sh[:, 0])."""

@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Read and write Gaussian splat .ply files: ascii and binary, in pieces to save memory."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import GSkinError, InputError
+from . import ply_codec as codec
+from .cloud import AnyArray, SplatCloud
+from .ply_header import FORMATS, TYPE_NAMES, Element, Header, format_header, read_header
+
+_CHUNK = 8192
+"""Rows handled at once: small enough that a piece of the file stays in the processor's cache."""
+
+_COMPLETE = "export it with all properties of 3D Gaussian splats"
+_INVALID = "NaN, infinite or zero-rotation values"
+
+
+@dataclass(frozen=True)
+class PlySplats:
+    """What was read: the cloud, the file row of each of its splats (N,), and the file's number of rows."""
+
+    cloud: SplatCloud
+    kept: NDArray[np.int64]
+    total: int
+
+    @property
+    def dropped(self) -> int:
+        """Number of the file's splats that were left out as invalid."""
+        return self.total - self.cloud.count
+
+
+def read_ply(path: str | os.PathLike[str], *, drop_invalid: bool = False) -> PlySplats:
+    """Read a Gaussian splat .ply file (INRIA layout, any property order, SH degree 0-4, ascii or binary).
+
+    Properties that are not part of the layout are kept in `cloud.extra`. Splats with NaN, infinite values or
+    a quaternion of norm 0 are left out with `drop_invalid`, otherwise they are an error.
+
+    Raises InputError: no such file, not a PLY, no Gaussian splats in it, missing properties, cut off, no
+    splats, invalid splats.
+    """
+    path = Path(path)
+    try:
+        with path.open("rb") as file:
+            header = read_header(file, path)
+            vertex, rest = _splat_element(header, path)
+            cloud, valid = _read_splats(file, header, vertex, rest, path)
+    except OSError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror or error}); check the path.") from error
+    bad = vertex.count - int(np.count_nonzero(valid))
+    if bad == vertex.count:
+        raise InputError(f"{path}: all {bad} splats have {_INVALID}; export it again.")
+    if bad and not drop_invalid:
+        raise InputError(
+            f"{path}: {bad} of {vertex.count} splats have {_INVALID}; "
+            "read it with drop_invalid=True (--drop-invalid) to leave them out."
+        )
+    if bad:
+        return PlySplats(cloud.select(valid), np.flatnonzero(valid), vertex.count)
+    return PlySplats(cloud, np.arange(vertex.count), vertex.count)
+
+
+def write_ply(path: str | os.PathLike[str], cloud: SplatCloud, *, fmt: str = "binary_little_endian") -> None:
+    """Write the cloud in the INRIA layout, `cloud.extra` after it; fmt as in the PLY header.
+
+    Values that came from a file and were not changed are written with the very bits that were read. Raises
+    InputError for an unknown fmt or an empty cloud, GSkinError where the file cannot be written.
+    """
+    path = Path(path)
+    if fmt not in FORMATS:
+        raise InputError(f"{fmt!r} is no PLY format; use one of {', '.join(FORMATS)}.")
+    if cloud.count == 0:
+        raise InputError(f"{path}: there are no splats to write; select at least one.")
+    rest = 3 * (cloud.sh.shape[1] - 1)
+    dtype = _file_dtype(cloud, rest, FORMATS[fmt])
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with temporary.open("wb") as file:
+            file.write(format_header(fmt, cloud.count, dtype))
+            for start in range(0, cloud.count, _CHUNK):
+                rows = slice(start, min(start + _CHUNK, cloud.count))
+                _write_rows(file, _encode(cloud, rows, rest, dtype), ascii_text=fmt == "ascii")
+        os.replace(temporary, path)
+    except OSError as error:
+        raise GSkinError(f"{path} cannot be written ({error.strerror or error}); check the folder.") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _splat_element(header: Header, path: Path) -> tuple[Element, int]:
+    """The vertex element of a splat file and its number of f_rest properties; InputError for other files."""
+    vertex = header.element("vertex")
+    if vertex is None:
+        raise InputError(f"{path} has no vertices; choose a Gaussian splat .ply file.")
+    names = set(vertex.properties)
+    missing = [name for name in codec.REQUIRED if name not in names]
+    face = header.element("face")
+    is_mesh = face is not None and face.count > 0
+    if missing and (is_mesh or names.isdisjoint(codec.REQUIRED[3:])):
+        kind = "a mesh" if is_mesh else "a point cloud"
+        raise InputError(
+            f"{path} is {kind}, not Gaussian splats (no {', '.join(missing[:6])}, ...); "
+            "choose a .ply file from a 3D Gaussian splatting program."
+        )
+    if missing:
+        raise InputError(f"{path} lacks the splat properties {', '.join(missing)}; {_COMPLETE}.")
+    if vertex.lists:
+        raise InputError(
+            f"{path} has list properties in its vertices ({', '.join(vertex.lists)}); export it without them."
+        )
+    rest = sum(name.startswith("f_rest_") for name in names)
+    gaps = [name for name in codec.rest_names(rest) if name not in names]
+    if gaps:
+        raise InputError(f"{path} lacks the splat properties {', '.join(gaps[:5])}; {_COMPLETE}.")
+    if rest not in codec.REST_COUNTS:
+        counts = ", ".join(map(str, codec.REST_COUNTS))
+        raise InputError(f"{path} has {rest} f_rest properties, not {counts} (degree 0-4); export it again.")
+    if vertex.count == 0:
+        raise InputError(f"{path} has no splats; export it again.")
+    return vertex, rest
+
+
+def _read_splats(
+    file: BinaryIO, header: Header, vertex: Element, rest: int, path: Path
+) -> tuple[SplatCloud, NDArray[np.bool_]]:
+    """All splats with their raw and extra columns, and True (N,) where a splat is valid."""
+    pieces = _ascii_pieces if header.format == "ascii" else _binary_pieces
+    standard = set(codec.standard_names(rest)) - set(codec.NORMALS)
+    source = pieces(file, header, vertex, path)
+    piece: AnyArray | None = next(source)  # checks the file's length before anything large is made
+    cloud = codec.empty_cloud(vertex.count, rest)
+    extra: dict[str, AnyArray] = {}
+    stored: dict[str, AnyArray] = {}
+    for name, code in vertex.properties.items():
+        if name not in standard:
+            extra[name] = np.empty(vertex.count, code)
+        elif codec.is_lossy(name, code):
+            stored[name] = np.empty(vertex.count, code)
+    valid = np.empty(vertex.count, dtype=bool)
+    start = 0
+    while piece is not None:
+        rows = slice(start, start + len(piece))
+        columns = {name: np.ascontiguousarray(piece[name]) for name in vertex.properties}
+        valid[rows] = codec.decode_rows(columns, cloud, rows, rest)
+        for table in (extra, stored):
+            for name, column in table.items():
+                column[rows] = columns[name]
+        start += len(piece)
+        piece = next(source, None)
+    cloud = SplatCloud(cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.sh, extra, stored)
+    return cloud, valid
+
+
+def _truncated(path: Path, expected: int, found: int) -> InputError:
+    return InputError(
+        f"{path} is cut off: its header announces {expected} splats, the file holds {found}; "
+        "copy or export it again."
+    )
+
+
+def _binary_pieces(file: BinaryIO, header: Header, vertex: Element, path: Path) -> Iterator[AnyArray]:
+    """The vertex rows of a binary file as structured arrays of at most _CHUNK rows."""
+    offset = header.offset
+    for element in header.before(vertex.name):
+        if element.lists:
+            raise InputError(
+                f"{path} has lists ({element.name}) before its vertices; export it with the vertices first."
+            )
+        offset += element.count * element.dtype(header.order).itemsize
+    dtype = vertex.dtype(header.order)
+    found = max(0, os.fstat(file.fileno()).st_size - offset) // dtype.itemsize
+    if found < vertex.count:
+        raise _truncated(path, vertex.count, found)
+    file.seek(offset)
+    for start in range(0, vertex.count, _CHUNK):
+        yield np.fromfile(file, dtype=dtype, count=min(_CHUNK, vertex.count - start))
+
+
+def _ascii_pieces(file: BinaryIO, header: Header, vertex: Element, path: Path) -> Iterator[AnyArray]:
+    """The vertex rows of an ascii file as structured arrays of at most _CHUNK rows."""
+    size = os.fstat(file.fileno()).st_size - header.offset
+    possible = size // (2 * len(vertex.properties)) + 1  # a value takes a digit and a separator
+    if vertex.count > possible:
+        raise _truncated(path, vertex.count, possible)
+    for _ in islice(file, sum(element.count for element in header.before(vertex.name))):
+        pass
+    dtype = vertex.dtype("=")
+    for start in range(0, vertex.count, _CHUNK):
+        wanted = min(_CHUNK, vertex.count - start)
+        lines = [line.decode("latin-1") for line in islice(file, wanted)]
+        table = _parse_lines(lines, len(vertex.properties), start, path)
+        if len(table) < wanted:
+            raise _truncated(path, vertex.count, start + len(table))
+        piece = np.empty(wanted, dtype)
+        for index, name in enumerate(vertex.properties):
+            with np.errstate(over="ignore", invalid="ignore"):
+                piece[name] = table[:, index]
+        yield piece
+
+
+def _parse_lines(lines: list[str], columns: int, start: int, path: Path) -> NDArray[np.float64]:
+    """Numbers (M, columns) of text lines; InputError names the first splat that cannot be read."""
+    if not lines:
+        return np.empty((0, columns))
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # np.loadtxt on blank lines only: an empty table
+            table = np.loadtxt(lines, dtype=np.float64, comments=None, ndmin=2)
+    except ValueError:
+        table = np.empty((0, 0))
+    if table.shape[1] == columns:
+        return table
+    for index, line in enumerate(lines):
+        words = line.split()
+        if len(words) != columns:
+            raise InputError(
+                f"{path}: splat {start + index} has {len(words)} values, expected {columns}; "
+                "the file is cut off or damaged, export it again."
+            )
+        for word in words:
+            try:
+                float(word)
+            except ValueError:
+                raise InputError(
+                    f"{path}: splat {start + index} holds {word[:20]!r}, not a number; export the file again."
+                ) from None
+    raise InputError(f"{path} has vertex lines that cannot be read as numbers; export it again.")
+
+
+def _file_dtype(cloud: SplatCloud, rest: int, order: str) -> np.dtype[Any]:
+    """Row type of the file: INRIA order in float32 (doubles stay doubles), then the extra columns."""
+    fields = []
+    names = codec.standard_names(rest)
+    for name in names:
+        column = cloud.stored.get(name) if name not in codec.NORMALS else cloud.extra.get(name)
+        is_double = column is not None and column.dtype.str[1:] == "f8"
+        fields.append((name, order + ("f8" if is_double else "f4")))
+    for name, column in cloud.extra.items():
+        if name not in names:
+            code = column.dtype.str[1:]
+            fields.append((name, order + (code if code in TYPE_NAMES else "f8")))
+    return np.dtype(fields)
+
+
+def _encode(cloud: SplatCloud, rows: slice, rest: int, dtype: np.dtype[Any]) -> AnyArray:
+    """Structured rows of the file."""
+    columns = codec.encode_rows(cloud, rows, rest)
+    piece = np.zeros(rows.stop - rows.start, dtype)
+    for name in dtype.names or ():
+        if name in columns:
+            piece[name] = columns[name]
+        elif name in cloud.extra:
+            piece[name] = cloud.extra[name][rows]
+    return piece
+
+
+def _write_rows(file: BinaryIO, piece: AnyArray, *, ascii_text: bool) -> None:
+    """Append structured rows; text with as many digits as give the same bits back."""
+    if not ascii_text:
+        file.write(piece.tobytes())
+        return
+    digits = {"f4": "%.9g", "f8": "%.17g"}
+    names = piece.dtype.names or ()
+    line = " ".join(digits.get(piece.dtype[name].str[1:], "%d") for name in names) + "\n"
+    file.write("".join(line % row for row in piece.tolist()).encode("ascii"))

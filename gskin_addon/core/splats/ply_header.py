@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The header of a PLY file: elements, properties, byte order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from ..errors import InputError
+
+TYPE_CODES = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
+    "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
+    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+"""NumPy code of every PLY type name."""
+
+TYPE_NAMES = {
+    "i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort",
+    "i4": "int", "u4": "uint", "f4": "float", "f8": "double",
+}  # fmt: skip
+"""PLY type name of every NumPy code that PLY can hold."""
+
+FORMATS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
+"""Byte order character of every PLY format."""
+
+_MAX_HEADER = 1 << 20
+
+
+@dataclass(frozen=True)
+class Element:
+    """One element: name, number of rows, scalar properties by name, names of its list properties."""
+
+    name: str
+    count: int
+    properties: dict[str, str]
+    lists: tuple[str, ...]
+
+    def dtype(self, order: str) -> np.dtype[Any]:
+        """Packed NumPy type of one row in byte order `order` ("<", ">" or "=")."""
+        return np.dtype([(name, order + code) for name, code in self.properties.items()])
+
+
+@dataclass(frozen=True)
+class Header:
+    """Format name, elements in file order, and the byte offset of the data."""
+
+    format: str
+    elements: tuple[Element, ...]
+    offset: int
+
+    @property
+    def order(self) -> str:
+        """Byte order character for NumPy."""
+        return FORMATS[self.format]
+
+    def element(self, name: str) -> Element | None:
+        """The element called `name`, None where the file has none."""
+        return next((element for element in self.elements if element.name == name), None)
+
+    def before(self, name: str) -> tuple[Element, ...]:
+        """The elements whose data comes before that of `name`."""
+        names = [element.name for element in self.elements]
+        return self.elements[: names.index(name)]
+
+
+def read_header(file: BinaryIO, path: Path) -> Header:
+    """Read the header and leave `file` at the first byte of data; InputError names what is wrong with it."""
+    if file.readline(16).strip() != b"ply":
+        raise InputError(f"{path} is not a PLY file; choose a Gaussian splat .ply file.")
+    format_name = ""
+    elements: list[Element] = []
+    while True:
+        line = file.readline(4096)
+        if not line.endswith(b"\n") or file.tell() > _MAX_HEADER:
+            raise InputError(f"{path} is cut off inside its PLY header; copy or export the file again.")
+        words = line.decode("latin-1").split()
+        if not words or words[0] in ("comment", "obj_info"):
+            continue
+        if words[0] == "end_header":
+            break
+        if words[0] == "format" and len(words) == 3:
+            format_name = words[1]
+        elif words[0] == "element" and len(words) == 3 and words[2].isdecimal():
+            elements.append(Element(words[1], int(words[2]), {}, ()))
+        elif words[0] == "property" and elements and _add_property(elements, words[1:]):
+            continue
+        else:
+            text = " ".join(words)[:60]
+            raise InputError(f"{path} has a header line that is not PLY ({text!r}); export the file again.")
+    if format_name not in FORMATS:
+        raise InputError(f"{path} has the PLY format {format_name!r}; use one of {', '.join(FORMATS)}.")
+    return Header(format_name, tuple(elements), file.tell())
+
+
+def _add_property(elements: list[Element], words: list[str]) -> bool:
+    """Add a property line to the last element; False where the line is malformed or repeats a name."""
+    element = elements[-1]
+    name = words[-1]
+    if name in element.properties or name in element.lists:
+        return False
+    if len(words) == 2 and words[0] in TYPE_CODES:
+        element.properties[name] = TYPE_CODES[words[0]]
+        return True
+    if len(words) == 4 and words[0] == "list" and words[1] in TYPE_CODES and words[2] in TYPE_CODES:
+        elements[-1] = Element(element.name, element.count, element.properties, (*element.lists, name))
+        return True
+    return False
+
+
+def format_header(format_name: str, count: int, dtype: np.dtype[Any]) -> bytes:
+    """Header of a file with one element, "vertex", of `count` rows of `dtype`."""
+    lines = ["ply", f"format {format_name} 1.0", f"element vertex {count}"]
+    for name in dtype.names or ():
+        lines.append(f"property {TYPE_NAMES[dtype[name].str[1:]]} {name}")
+    return ("\n".join([*lines, "end_header"]) + "\n").encode("ascii")
