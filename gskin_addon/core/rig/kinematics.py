@@ -17,8 +17,8 @@ def pose_transforms(skeleton: Skeleton, rotations: Array, translation: Array | N
     """Deform transforms P_b = P_parent [R_b, h_b - R_b h_b] (Eq. 2), h_b the bone's head at rest.
 
     rotations (P, B, 3, 3): the rotation each bone adds to its parent's, in world axes, about its head.
-    translation (P, 3) or None moves the roots. Returns (P, B, 4, 4) float64, which equal pose x inverse(rest) in world
-    space and map rest points to posed points. Leading shape (B, 3, 3) gives (B, 4, 4).
+    translation (P, 3) or None moves the roots. Returns (P, B, 4, 4) float64, which equal pose x inverse(rest)
+    in world space and map rest points to posed points. Leading shape (B, 3, 3) gives (B, 4, 4).
     """
     rotations = np.asarray(rotations, dtype=np.float64)
     if rotations.shape[-3:] != (skeleton.count, 3, 3) or rotations.ndim not in (3, 4):
@@ -50,5 +50,5 @@ def joints_posed(skeleton: Skeleton, transforms: Array) -> tuple[Array, Array]:
 
 
 def transforms_from_matrices(skeleton: Skeleton, pose: Array) -> Array:
-    """Deform transforms (..., B, 4, 4) = pose x inverse(rest), from posed bone matrices (..., B, 4, 4) in the world."""
+    """Deform transforms pose x inverse(rest), of posed bone matrices (..., B, 4, 4) in world space."""
     return np.asarray(pose, dtype=np.float64) @ np.linalg.inv(skeleton.rest)

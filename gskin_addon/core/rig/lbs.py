@@ -4,15 +4,14 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..splats.cloud import SplatCloud
+from ..splats.sh import rotate_sh as rotate_coefficients
 from .quaternion import matrix_to_quat, nearest_rotation, normalize, quat_multiply, quat_to_matrix
-
-if TYPE_CHECKING:
-    from ..splats.cloud import SplatCloud
 
 Array = NDArray[Any]
 
@@ -20,8 +19,8 @@ Array = NDArray[Any]
 def skin_points(points: Array, weights: Array, transforms: Array) -> Array:
     """Eq. 1: x' = sum_b w_b P_b x.
 
-    points (N, 3), weights (N, B) with rows that sum to 1, transforms (..., B, 4, 4) -> (..., N, 3), in the float type
-    of `points`.
+    points (N, 3), weights (N, B) with rows that sum to 1, transforms (..., B, 4, 4) -> (..., N, 3), in the
+    float type of `points`.
     """
     points = np.asarray(points)
     dtype = points.dtype if np.issubdtype(points.dtype, np.floating) else np.dtype(np.float64)
@@ -30,7 +29,8 @@ def skin_points(points: Array, weights: Array, transforms: Array) -> Array:
     _check_shapes(len(points), weights, transforms)
     lead, bones = transforms.shape[:-3], transforms.shape[-3]
     out = np.empty((*lead, len(points), 3), dtype=dtype)
-    # Blending 3x4 matrices first is one matrix product per pose instead of B transformed copies of the points.
+    # Blending 3x4 matrices first is one matrix product per pose instead of B transformed copies of the
+    # points.
     for index in np.ndindex(*lead):
         blended = (weights @ transforms[index][:, :3, :].reshape(bones, 12)).reshape(-1, 3, 4)
         out[index] = np.einsum("nij,nj->ni", blended[:, :, :3], points) + blended[:, :, 3]
@@ -40,9 +40,9 @@ def skin_points(points: Array, weights: Array, transforms: Array) -> Array:
 def skin_quats(weights: Array, transforms: Array) -> Array:
     """The blended rotation of Eq. 3: q = normalise(sum_b w_b s_b q_b), q_b the rotation of P_b.
 
-    q and -q are the same rotation, so the sum needs signs: s_b makes q_b agree with the splat's dominant bone.
-    weights (N, B), transforms (..., B, 4, 4) -> (..., N, 4) unit wxyz. Scale or shear in P_b is taken out first (polar
-    decomposition).
+    q and -q are the same rotation, so the sum needs signs: s_b makes q_b agree with the splat's dominant
+    bone. weights (N, B), transforms (..., B, 4, 4) -> (..., N, 4) unit wxyz. Scale or shear in P_b is taken
+    out first (polar decomposition).
     """
     weights = np.asarray(weights)
     transforms = np.asarray(transforms, dtype=np.float64)
@@ -62,8 +62,8 @@ def skin_quats(weights: Array, transforms: Array) -> Array:
 def skin_cloud(cloud: SplatCloud, weights: Array, transforms: Array, *, rotate_sh: bool = True) -> SplatCloud:
     """The posed cloud: centres by Eq. 1, covariances turned by Eq. 3, SH coefficients turned with them.
 
-    weights (N, B), transforms (B, 4, 4). With `rotate_sh=False` the coefficients stay as they are, for a renderer that
-    turns the view direction instead.
+    weights (N, B), transforms (B, 4, 4). With `rotate_sh=False` the coefficients stay as they are, for a
+    renderer that turns the view direction instead.
     """
     if np.ndim(transforms) != 3:
         raise ValueError(f"skin_cloud takes one pose (B, 4, 4), got shape {np.shape(transforms)}")
@@ -72,14 +72,13 @@ def skin_cloud(cloud: SplatCloud, weights: Array, transforms: Array, *, rotate_s
     quats = normalize(quat_multiply(turn, cloud.quats)).astype(np.float32)
     sh = cloud.sh
     if rotate_sh and sh.shape[1] > 1:
-        from ..splats.sh import rotate_sh as rotate
-
-        sh = np.asarray(rotate(sh, quat_to_matrix(turn)), dtype=np.float32)
+        sh = rotate_coefficients(sh, quat_to_matrix(turn))
     return dataclasses.replace(cloud, means=means, quats=quats, sh=sh)
 
 
 def top_influences(weights: Array, k: int) -> tuple[Array, Array]:
-    """The k strongest bones of each splat: index (N, k) int, weight (N, k) falling, rows sum to 1; k at most B.
+    """The k strongest bones of each splat: index (N, k) int, weight (N, k) falling, rows sum to 1; k at most
+    B.
 
     A row without any weight gets its first index with weight 1, so that the splat still follows a bone.
     """

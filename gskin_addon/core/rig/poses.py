@@ -17,8 +17,8 @@ Array = NDArray[Any]
 def turnable_bones(skeleton: Skeleton) -> Array:
     """Indices of the bones that a random pose may turn.
 
-    All but a sole root, which would only turn the whole object. With several roots (the joint they hang on carries no
-    weights) each root moves a part, so it stays in.
+    All but a sole root, which would only turn the whole object. With several roots (the joint they hang on
+    carries no weights) each root moves a part, so it stays in.
     """
     if len(skeleton.roots) == 1 and skeleton.count > 1:
         return np.flatnonzero(skeleton.parents >= 0)
@@ -36,8 +36,8 @@ def random_poses(
 ) -> Array:
     """`count` poses as rotations (P, B, 3, 3) in world axes for `pose_transforms`.
 
-    Each pose turns `fraction` of the non-root bones (at least one) about `axis` (3,), or (P, 3) for one axis per pose,
-    by an angle drawn from `angle` (radians) with a random sign.
+    Each pose turns `fraction` of the non-root bones (at least one) about `axis` (3,), or (P, 3) for one axis
+    per pose, by an angle drawn from `angle` (radians) with a random sign.
     """
     bones = turnable_bones(skeleton)
     axes = np.broadcast_to(np.asarray(axis, dtype=np.float64), (count, 3))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The skeleton: named segments in a forest, one weight channel each.
 
-A bone is the segment head -> tail and turns about its head. That is the paper's bone b between the joint A_b (head)
-and the joint b (tail), and it is a Blender bone.
+A bone is the segment head -> tail and turns about its head. That is the paper's bone b between the joint A_b
+(head) and the joint b (tail), and it is a Blender bone.
 """
 
 from __future__ import annotations
@@ -25,8 +25,9 @@ class Skeleton:
     """Bones in world space, metres.
 
     names: B unique strings. parents: (B,) int, -1 for a root; a parent precedes its children.
-    heads, tails: (B, 3) float64. rest: (B, 4, 4) float64, each bone's rest matrix in the world; left out, it is the
-    identity rotation at the head. `validate` checks the meaning; the constructor only the shapes (ValueError).
+    heads, tails: (B, 3) float64. rest: (B, 4, 4) float64, each bone's rest matrix in the world; left out, it
+    is the identity rotation at the head. `validate` checks the meaning; the constructor only the shapes
+    (ValueError).
     """
 
     names: tuple[str, ...]
@@ -39,8 +40,9 @@ class Skeleton:
         count = len(self.names)
         rest: Any = self.rest
         if rest is None:
-            rest = np.tile(np.eye(4), (count, 1, 1))
-            rest[:, :3, 3] = np.asarray(self.heads, dtype=np.float64).reshape(count, 3)
+            heads = np.asarray(self.heads, dtype=np.float64)
+            rest = np.tile(np.eye(4), (len(heads), 1, 1))
+            rest[:, :3, 3] = heads
         for name, value, dtype, shape in (
             ("parents", self.parents, np.int64, (count,)),
             ("heads", self.heads, np.float64, (count, 3)),
@@ -91,7 +93,9 @@ class Skeleton:
         names = tuple(n for n, kept in zip(self.names, mask, strict=True) if kept)
         return Skeleton(names, np.array(parents), self.heads[mask], self.tails[mask], self.rest[mask])
 
-    def moved(self, rotation: ArrayLike, scale: float = 1.0, translation: ArrayLike = (0.0, 0.0, 0.0)) -> Skeleton:
+    def moved(
+        self, rotation: ArrayLike, scale: float = 1.0, translation: ArrayLike = (0.0, 0.0, 0.0)
+    ) -> Skeleton:
         """The skeleton after x -> scale * rotation @ x + translation (rest rotations stay free of scale)."""
         rot, shift = np.asarray(rotation, dtype=np.float64), np.asarray(translation, dtype=np.float64)
         rest = self.rest.copy()
@@ -103,23 +107,27 @@ class Skeleton:
     def validate(self, label: str = "armature") -> None:
         """Raise InputError, naming `label` and the bone, when the skeleton cannot carry weights."""
         if self.count == 0:
-            raise InputError(f"{label} has no deform bones; enable Deform on the bones that should carry weights.")
-        if len(set(self.names)) != self.count:
-            twice = sorted({n for n in self.names if self.names.count(n) > 1})[0]
-            raise InputError(f"{label} has two bones named '{twice}'; rename one of them.")
+            raise InputError(f"{label} has no deform bones; enable Deform on those that carry weights.")
+        twice = sorted({n for n in self.names if self.names.count(n) > 1})
+        if twice:
+            raise InputError(f"{label} has two bones named '{twice[0]}'; rename one.")
         for field in ("heads", "tails", "rest"):
-            finite = np.isfinite(getattr(self, field)).reshape(self.count, -1).all(axis=1)
-            if not finite.all():
-                bone = self.names[int(np.argmin(finite))]
-                raise InputError(f"bone '{bone}' of {label} has NaN or infinite {field}; place it again in Edit Mode.")
-        if np.any(self.parents >= np.arange(self.count)) or np.any(self.parents < -1):
-            bone = self.names[int(np.argmax((self.parents >= np.arange(self.count)) | (self.parents < -1)))]
-            raise InputError(f"bone '{bone}' of {label} comes before its parent; list parents before their children.")
+            broken = ~np.isfinite(getattr(self, field)).reshape(self.count, -1).all(axis=1)
+            if broken.any():
+                bone = self._first(broken)
+                raise InputError(f"bone '{bone}' of {label} has NaN or infinite {field}; place it again.")
+        early = (self.parents >= np.arange(self.count)) | (self.parents < -1)
+        if early.any():
+            bone = self._first(early)
+            raise InputError(f"bone '{bone}' of {label} comes before its parent; list parents first.")
         extent = float(np.ptp(np.concatenate([self.heads, self.tails]), axis=0).max())
         short = self.lengths <= 1e-7 * max(extent, 1e-30)
         if short.any():
-            bone = self.names[int(np.argmax(short))]
-            raise InputError(f"bone '{bone}' of {label} has zero length; move its tail or disable Deform on it.")
+            bone = self._first(short)
+            raise InputError(f"bone '{bone}' of {label} has zero length; move its tail or disable Deform.")
+
+    def _first(self, mask: Array) -> str:
+        return self.names[int(np.argmax(mask))]
 
     def to_json(self) -> str:
         """The skeleton as a JSON text that `from_json` reads back exactly."""
@@ -134,7 +142,7 @@ class Skeleton:
 
     @classmethod
     def from_json(cls, text: str, label: str = "skeleton.json") -> Skeleton:
-        """Read what `to_json` wrote (`rest` may be missing); InputError names `label` when it is not a skeleton."""
+        """Read what `to_json` wrote (`rest` may be missing); InputError names `label` otherwise."""
         try:
             data = json.loads(text)
             rest = np.array(data["rest"], dtype=np.float64) if data.get("rest") is not None else None
@@ -146,7 +154,7 @@ class Skeleton:
                 rest,  # type: ignore[arg-type]
             )
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise InputError(f"{label} is not a skeleton ({error}); write it again from its armature.") from error
+            raise InputError(f"{label} is not a skeleton ({error}); export it again.") from error
 
 
 def parents_first(parents: Sequence[int] | Iterable[int]) -> Array:
