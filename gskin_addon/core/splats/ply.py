@@ -92,7 +92,8 @@ def write_ply(path: str | os.PathLike[str], cloud: SplatCloud, *, fmt: str = "bi
                 _write_rows(file, _encode(cloud, rows, rest, dtype), ascii_text=fmt == "ascii")
         os.replace(temporary, path)
     except OSError as error:
-        raise GSkinError(f"{path} cannot be written ({error.strerror or error}); check the folder.") from error
+        reason = error.strerror or error
+        raise GSkinError(f"{path} cannot be written ({reason}); check the folder and free space.") from error
     finally:
         temporary.unlink(missing_ok=True)
 
