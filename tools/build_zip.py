@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Build the extension archive with Blender's own extension tool and let the same tool validate it.
 
-    .venv/bin/python tools/build_zip.py [--out dist]
+.venv/bin/python tools/build_zip.py [--out dist]
 """
 
 from __future__ import annotations
@@ -39,9 +39,14 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as scratch:
         # A clean copy keeps caches and editor droppings out; the licence travels with the code.
         source = Path(scratch) / "gskin_addon"
-        shutil.copytree(ROOT / "gskin_addon", source, ignore=shutil.ignore_patterns("__pycache__", "*.pyc", ".*"))
+        shutil.copytree(
+            ROOT / "gskin_addon", source, ignore=shutil.ignore_patterns("__pycache__", "*.pyc", ".*")
+        )
         shutil.copy2(ROOT / "LICENSE", source / "LICENSE")
-        for arguments in (["validate", str(source)], ["build", "--source-dir", str(source), "--output-dir", str(out)]):
+        for arguments in (
+            ["validate", str(source)],
+            ["build", "--source-dir", str(source), "--output-dir", str(out)],
+        ):
             if code := subprocess.call([*tool, *arguments]):
                 return code
     archives = sorted(out.glob("gskin_addon-*.zip"), key=lambda path: path.stat().st_mtime)

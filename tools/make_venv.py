@@ -44,8 +44,10 @@ def main() -> int:
 
     python = find_python(venv)
     if python is None:
-        return fail("No Python 3.11 or 3.13 was found, which Blender's bpy module needs: install python3.11 and "
-                    "python3.11-venv, or name an interpreter with PYTHON=/path/to/python3.11.")
+        return fail(
+            "No Python 3.11 or 3.13 was found, which Blender's bpy module needs: install python3.11 and "
+            "python3.11-venv, or name an interpreter with PYTHON=/path/to/python3.11."
+        )
     problem = install_system_libraries()
     if problem:
         return fail(problem)
@@ -58,8 +60,10 @@ def main() -> int:
     say(f"making {venv} with {python}")
     if not (venv_python(venv).exists() and runs([str(venv_python(venv)), "-m", "pip", "--version"])):
         if subprocess.call([python, "-m", "venv", "--clear", str(venv)]) != 0:
-            return fail(f"The environment {venv} could not be made: install the venv package of {python} "
-                        "(on Debian: apt-get install python3-venv).")
+            return fail(
+                f"The environment {venv} could not be made: install the venv package of {python} "
+                "(on Debian: apt-get install python3-venv)."
+            )
     pip = [str(venv_python(venv)), "-m", "pip", "install", "--no-input", "--quiet"]
     # torch comes first and alone: it is by far the largest download, and a later step then never replaces it.
     steps = [[TORCH], [BLENDER_MODULE[interpreter_version(python)], "-e", f"{ROOT}[{EXTRAS}]"]]
@@ -67,8 +71,13 @@ def main() -> int:
         say("installing " + " ".join(packages))
         if subprocess.call([*pip, *packages], cwd=ROOT) != 0:
             return fail(f"pip could not install {' '.join(packages)}: its last lines above say why.")
-    if subprocess.call([str(venv_python(venv)), "-c", "import bpy, torch, numba, gskin_addon"], cwd=ROOT) != 0:
-        return fail("The environment was installed but does not import; the lines above say which part is missing.")
+    if (
+        subprocess.call([str(venv_python(venv)), "-c", "import bpy, torch, numba, gskin_addon"], cwd=ROOT)
+        != 0
+    ):
+        return fail(
+            "The environment was installed but does not import; the lines above say which part is missing."
+        )
     stamp.write_text(fingerprint)
     say("ready")
     return 0
@@ -77,8 +86,13 @@ def main() -> int:
 def find_python(venv: Path) -> str | None:
     """The interpreter for the environment: $PYTHON, this one, the environment's own, or one on PATH."""
     own = venv_python(venv)
-    candidates = [os.environ.get("PYTHON"), sys.executable, str(own) if own.exists() else None,
-                  shutil.which("python3.11"), shutil.which("python3.13")]
+    candidates = [
+        os.environ.get("PYTHON"),
+        sys.executable,
+        str(own) if own.exists() else None,
+        shutil.which("python3.11"),
+        shutil.which("python3.13"),
+    ]
     for candidate in candidates:
         if candidate and interpreter_version(candidate) in BLENDER_MODULE:
             return candidate
@@ -89,7 +103,9 @@ def interpreter_version(python: str) -> tuple[int, int] | None:
     """(major, minor) of an interpreter, None when it does not run."""
     code = "import sys; print(*sys.version_info[:2])"
     try:
-        out = subprocess.run([python, "-c", code], capture_output=True, text=True, timeout=60, check=True).stdout
+        out = subprocess.run(
+            [python, "-c", code], capture_output=True, text=True, timeout=60, check=True
+        ).stdout
     except (OSError, subprocess.SubprocessError):
         return None
     major, minor = out.split()
@@ -128,8 +144,11 @@ def install_system_libraries() -> str | None:
 def missing_packages() -> list[str]:
     """Debian packages whose library cannot be opened; asked in a new process, which sees fresh loader caches."""
     code = "import ctypes, sys; ctypes.CDLL(sys.argv[1])"
-    return [package for library, package in SYSTEM_LIBRARIES.items()
-            if not _opens(library) and not runs([sys.executable, "-c", code, library])]
+    return [
+        package
+        for library, package in SYSTEM_LIBRARIES.items()
+        if not _opens(library) and not runs([sys.executable, "-c", code, library])
+    ]
 
 
 def _opens(library: str) -> bool:
@@ -143,8 +162,12 @@ def _opens(library: str) -> bool:
 def wanted_state(python: str) -> str:
     """A digest of all that decides what is installed."""
     digest = hashlib.sha256()
-    for part in ((ROOT / "pyproject.toml").read_bytes(), Path(__file__).read_bytes(), str(ROOT).encode(),
-                 repr(interpreter_version(python)).encode()):
+    for part in (
+        (ROOT / "pyproject.toml").read_bytes(),
+        Path(__file__).read_bytes(),
+        str(ROOT).encode(),
+        repr(interpreter_version(python)).encode(),
+    ):
         digest.update(part)
     return digest.hexdigest()
 
@@ -157,7 +180,10 @@ def venv_python(venv: Path) -> Path:
 def runs(command: list[str]) -> bool:
     """Whether a command exists and exits 0."""
     try:
-        return subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, check=False).returncode == 0
+        return (
+            subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, check=False).returncode
+            == 0
+        )
     except OSError:
         return False
 
