@@ -61,7 +61,8 @@ class Camera:
 
     def to_camera(self, points: ArrayLike) -> NDArray[np.float64]:
         """Points (..., 3) of the world in camera axes (..., 3)."""
-        return np.asarray(points, np.float64) @ self.rotation.T + self.translation
+        p: NDArray[np.float64] = np.asarray(points, np.float64) @ self.rotation.T + self.translation
+        return p
 
     def project(self, points: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Pixels (..., 2) and depths (...,) of world points (..., 3).
@@ -103,7 +104,8 @@ def look_at(
 ) -> Camera:
     """A camera at `eye` looking at `target`.
 
-    `fov` is in degrees across the shorter side, `size` = n or (height, width) in pixels. Raises InputError when eye and target coincide. When the view is along `up`, another up is chosen.
+    `fov` is in degrees across the shorter side, `size` = n or (height, width) in pixels. When the view is
+    along `up`, another up is chosen. Raises InputError when eye and target coincide.
     """
     eye_, target_ = np.asarray(eye, np.float64), np.asarray(target, np.float64)
     z = target_ - eye_

@@ -1,0 +1,242 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The CPU rasteriser: prepared scenes that run the numba kernels on a small thread pool.
+
+The kernels release the interpreter lock and share nothing, so plain Python threads carry them; numba's and torch's
+OpenMP pools, which fight each other for the cores, are not involved.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import InputError
+from .camera import Camera
+from .cpu_blend import backward_tiles, forward_tiles
+from .cpu_project import CAMERA, RECORD, TILE, count_tiles, fill_tiles, project, project_backward
+
+Array = NDArray[np.float32]
+ImageLoss = Callable[[Array, Array], tuple[float, Array]]
+"""(image, alpha) -> (value, gradient to the image)"""
+
+DILATION = 0.3
+"""Pixels^2 added to every image covariance, as 3DGS does."""
+
+_NONE = np.zeros(0, np.float32)
+
+
+def thread_count() -> int:
+    """Threads that the rasteriser uses: NUMBA_NUM_THREADS if set, else the cores this process may run on."""
+    asked = os.environ.get("NUMBA_NUM_THREADS", "")
+    if asked.isdigit() and int(asked) > 0:
+        return int(asked)
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+@lru_cache(maxsize=1)
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(thread_count(), thread_name_prefix="gskin-render")
+
+
+def _run(tasks: Sequence[Callable[[], None]]) -> None:
+    """Run the tasks, in the pool when there is more than one; the first error is raised."""
+    if len(tasks) == 1:
+        tasks[0]()
+    else:
+        for future in [_pool().submit(task) for task in tasks]:
+            future.result()
+
+
+def _ranges(count: int, parts: int) -> list[tuple[int, int]]:
+    cuts = np.linspace(0, count, max(parts, 1) + 1).astype(int)
+    return [(int(a), int(b)) for a, b in zip(cuts[:-1], cuts[1:], strict=True) if b > a]
+
+
+def _tile_ranges(tile_start: NDArray[np.int64], parts: int) -> list[tuple[int, int]]:
+    """Runs of tiles with about the same number of splats each."""
+    tiles = len(tile_start) - 1
+    if parts <= 1:
+        return [(0, tiles)]
+    work = tile_start + 8 * np.arange(tiles + 1)  # an empty tile costs its background
+    cuts = np.searchsorted(work, np.linspace(0, work[-1], parts + 1))
+    cuts[0], cuts[-1] = 0, tiles
+    return [(int(a), int(b)) for a, b in zip(cuts[:-1], cuts[1:], strict=True) if b > a]
+
+
+def camera_vector(camera: Camera, dilation: float = DILATION, compensate: float | None = None) -> NDArray[np.float64]:
+    """The camera and the filter as the kernels read them, (CAMERA,) float64."""
+    c = np.zeros(CAMERA)
+    c[0:9], c[9:12] = camera.rotation.ravel(), camera.translation
+    c[12], c[13], c[14] = camera.fx, camera.fy, camera.near
+    # Slopes of the image's edges, and 15 % of the width beyond (gsplat's bounds).
+    mx, my = 0.15 * camera.width / camera.fx, 0.15 * camera.height / camera.fy
+    c[16], c[17] = -camera.cx / camera.fx - mx, (camera.width - camera.cx) / camera.fx + mx
+    c[18], c[19] = -camera.cy / camera.fy - my, (camera.height - camera.cy) / camera.fy + my
+    c[20], c[21] = dilation, -1.0 if compensate is None else compensate
+    c[22], c[23] = camera.cx, camera.cy
+    return c
+
+
+def morton_order(points: ArrayLike) -> NDArray[np.int64]:
+    """Order (N,) of points (N,3) along a Morton curve: neighbours in space become neighbours in memory."""
+    p = np.asarray(points, np.float64)
+    lower, extent = p.min(axis=0), np.ptp(p, axis=0)
+    cells = ((p - lower) / np.maximum(extent.max(), 1e-30) * 1023).astype(np.uint64)
+    code = np.zeros(len(p), np.uint64)
+    for axis in range(3):
+        c = cells[:, axis]
+        for shift, mask in ((16, 0x30000FF), (8, 0x300F00F), (4, 0x30C30C3), (2, 0x9249249)):
+            c = (c | (c << np.uint64(shift))) & np.uint64(mask)
+        code |= c << np.uint64(axis)
+    return np.argsort(code, kind="stable")
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What one forward pass leaves for its backward pass; `image` (H,W,3) and `alpha` (H,W) are its result."""
+
+    image: Array
+    alpha: Array
+    means: Array
+    quats: Array
+    colors: Array
+    camera: NDArray[np.float64]
+    record: NDArray[np.float64]
+    first_slot: NDArray[np.int64]
+    tile_start: NDArray[np.int64]
+    keys: NDArray[np.uint64]
+    owner: NDArray[np.int32]
+    threads: int
+
+
+@dataclass(frozen=True)
+class CpuScene:
+    """Splats whose scales (N,3), colors (N,3) and opacities (N,) stay while their means and quats move."""
+
+    scales: Array
+    colors: Array
+    opacities: Array
+    dilation: float = DILATION
+    compensate: float | None = None
+
+    def forward(self, means: ArrayLike, quats: ArrayLike, camera: Camera, background: ArrayLike = (1.0, 1.0, 1.0), *,
+                colors: ArrayLike | None = None, threads: int | None = None) -> Frame:
+        """Render means (N,3) and quats (N,4) wxyz (normalised here); `colors` (N,3) replaces the scene's for once.
+
+        `threads=1` stays in the calling thread (for callers that give each thread an image of its own).
+        """
+        return self._forward(means, quats, camera, background, colors, threads)[0]
+
+    def backward(self, frame: Frame, grad_image: ArrayLike, grad_alpha: ArrayLike | None = None) -> tuple[Array, Array]:
+        """Gradients to means (N,3) and quats (N,4) from those to the image (H,W,3) and to alpha (H,W)."""
+        gi = np.ascontiguousarray(grad_image, np.float32)
+        ga = np.zeros((0, 0), np.float32) if grad_alpha is None else np.ascontiguousarray(grad_alpha, np.float32)
+        f, threads = frame, frame.threads
+        partial = np.empty((len(f.owner), 6), np.float32)
+        parts = 1 if threads == 1 else 4 * threads
+        _run([lambda a=a, b=b: backward_tiles(  # type: ignore[misc]
+            a, b, f.record, f.colors, f.tile_start, f.keys, f.owner, f.image, f.alpha, gi, ga, partial)
+            for a, b in _tile_ranges(f.tile_start, parts)])
+        grad_means, grad_quats = np.empty_like(f.means), np.empty_like(f.quats)
+        _run([lambda a=a, b=b: project_backward(  # type: ignore[misc]
+            a, b, f.means, f.quats, self.scales, f.camera, f.record, f.first_slot, partial, grad_means, grad_quats)
+            for a, b in _ranges(len(f.means), threads)])
+        return grad_means, grad_quats
+
+    def render(self, means: ArrayLike, quats: ArrayLike, camera: Camera,
+               background: ArrayLike = (1.0, 1.0, 1.0)) -> tuple[Array, Array]:
+        """(image (H,W,3), alpha (H,W)); see forward."""
+        frame = self.forward(means, quats, camera, background)
+        return frame.image, frame.alpha
+
+    def render_and_grad(self, means: ArrayLike, quats: ArrayLike, camera: Camera, loss: ImageLoss,
+                        background: ArrayLike = (1.0, 1.0, 1.0), *, threads: int | None = None
+                        ) -> tuple[float, Array, Array]:
+        """Value of `loss(image, alpha) -> (value, grad_image)` and its gradients to means (N,3) and quats (N,4)."""
+        frame = self.forward(means, quats, camera, background, threads=threads)
+        value, grad = loss(frame.image, frame.alpha)
+        return (value, *self.backward(frame, grad))
+
+    def render_and_grad_many(self, means: Array, quats: Array, cameras: Sequence[Camera], losses: Sequence[ImageLoss],
+                             background: ArrayLike = (1.0, 1.0, 1.0)) -> tuple[NDArray[np.float64], Array, Array]:
+        """render_and_grad for P images, one per thread: means (P,N,3), quats (P,N,4), P cameras and losses.
+
+        Returns values (P,), grad_means (P,N,3) and grad_quats (P,N,4).
+        """
+        count = len(cameras)
+        values = np.zeros(count)
+        grad_means, grad_quats = np.empty(np.shape(means), np.float32), np.empty(np.shape(quats), np.float32)
+        alone = count >= thread_count()
+
+        def one(p: int) -> None:
+            values[p], grad_means[p], grad_quats[p] = self.render_and_grad(
+                means[p], quats[p], cameras[p], losses[p], background, threads=1 if alone else None)
+
+        if alone:
+            _run([lambda p=p: one(p) for p in range(count)])  # type: ignore[misc]
+        else:
+            for p in range(count):
+                one(p)
+        return values, grad_means, grad_quats
+
+    def contribution(self, means: ArrayLike, quats: ArrayLike, camera: Camera) -> Array:
+        """Largest blending weight T alpha of each splat over the pixels of the view, (N,); 0 for what is not seen."""
+        frame, weight = self._forward(means, quats, camera, (0.0, 0.0, 0.0), None, None, weights=True)
+        most = np.zeros(len(frame.means), np.float32)
+        np.maximum.at(most, frame.owner, weight)
+        return most
+
+    def _forward(self, means: ArrayLike, quats: ArrayLike, camera: Camera, background: ArrayLike,
+                 colors: ArrayLike | None, threads: int | None, weights: bool = False) -> tuple[Frame, Array]:
+        m, q = np.ascontiguousarray(means, np.float32), np.ascontiguousarray(quats, np.float32)
+        c = self.colors if colors is None else np.ascontiguousarray(colors, np.float32)
+        n = len(self.scales)
+        if m.shape != (n, 3) or q.shape != (n, 4) or c.shape != (n, 3):
+            raise InputError(f"The scene has {n} splats, but means, quats and colors have the shapes "
+                             f"{m.shape}, {q.shape} and {c.shape}; give one row per splat.")
+        threads = thread_count() if threads is None else threads
+        height, width = camera.size
+        columns = (width + TILE - 1) // TILE
+        vector = camera_vector(camera, self.dilation, self.compensate)
+        record, depth = np.empty((n, RECORD)), np.zeros(n, np.float32)
+        rect, tiles = np.empty((n, 4), np.int32), np.empty(n, np.int32)
+        _run([lambda a=a, b=b: project(  # type: ignore[misc]
+            a, b, m, q, self.scales, self.opacities, vector, width, height, record, depth, rect, tiles)
+            for a, b in _ranges(n, threads)] or [lambda: None])
+        tile_start = np.empty(columns * ((height + TILE - 1) // TILE) + 1, np.int64)
+        first_slot = np.empty(n + 1, np.int64)
+        count_tiles(rect, tiles, columns, first_slot, tile_start)
+        keys, owner = np.empty(int(first_slot[-1]), np.uint64), np.empty(int(first_slot[-1]), np.int32)
+        fill_tiles(rect, tiles, depth.view(np.uint32), columns, tile_start, np.empty_like(tile_start[:-1]), keys, owner)
+        image, alpha = np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32)
+        weight = np.zeros(len(owner), np.float32) if weights else _NONE
+        back = np.ascontiguousarray(background, np.float32)
+        _run([lambda a=a, b=b: forward_tiles(  # type: ignore[misc]
+            a, b, record, c, back, tile_start, keys, owner, image, alpha, weight)
+            for a, b in _tile_ranges(tile_start, 1 if threads == 1 else 4 * threads)])
+        frame = Frame(image, alpha, m, q, c, vector, record, first_slot, tile_start, keys, owner, threads)
+        return frame, weight
+
+
+def prepare(scales: ArrayLike, colors: ArrayLike, opacities: ArrayLike, *, dilation: float = DILATION,
+            compensate: float | None = None) -> CpuScene:
+    """A scene of scales (N,3) linear, colors (N,3) and opacities (N,) in 0..1, which carry no gradient.
+
+    `dilation` is added to the image covariance (pixels^2). `compensate` = e multiplies each opacity by
+    sqrt(det(S + e) / det(S + dilation)), as Mip-Splatting does with e = 0: a low-resolution stage takes
+    e = dilation (size / 512)^2 and then looks like a 512 px image made small.
+    """
+    s, c = np.ascontiguousarray(scales, np.float32), np.ascontiguousarray(colors, np.float32)
+    o = np.ascontiguousarray(opacities, np.float32).reshape(-1)
+    if s.shape != (len(o), 3) or c.shape != (len(o), 3):
+        raise InputError(f"Scales {s.shape}, colors {c.shape} and opacities {o.shape} do not belong together; "
+                         "give (N,3), (N,3) and (N,).")
+    return CpuScene(s, c, o, float(dilation), compensate)
