@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the sample character needs Blender for: the armature, fusing, bone heat, baked light, and keyframes."""
+"""What the sample character needs Blender for: armature, fusing, bone heat, baked light, keyframes."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def mesh_arrays(mesh: Any) -> Mesh:
 
 
 def bone_heat(mesh: Mesh, rig: Any, names: list[str], without: tuple[str, ...]) -> Array:
-    """Blender's automatic weights (V, B) of a clean closed mesh, rows summing to 1; `without` bones take no part."""
+    """Blender's automatic weights (V, B) of a clean closed mesh, rows summing to 1; no `without` bones."""
     for name in without:
         rig.data.bones[name].use_deform = False
     thing = make_object("heat", mesh)
@@ -125,7 +125,7 @@ def baked_openness(mesh: Mesh, samples: int) -> Array:
 
 
 def turn_bones(rig: Any, turns: Turns, frame: int | None = None) -> None:
-    """Rotate pose bones by world-axis rotation vectors (degrees); all others rest. Keys them at `frame` if given."""
+    """Rotate pose bones by world-axis rotation vectors (degrees), all others rest; key them at `frame`."""
     for bone in rig.pose.bones:
         bone.rotation_mode = "QUATERNION"
         vector = mathutils.Vector(np.radians(turns.get(bone.name, (0.0, 0.0, 0.0))).tolist())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Brindle, the sample character: geometry, colours, bones and the true skinning weights; the same on every run."""
+"""Brindle, the sample character: geometry, colours, bones and true weights; the same on every run."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LIGHT = np.array([-0.45, -0.65, 0.75]) / np.linalg.norm([-0.45, -0.65, 0.75])
 
 @dataclass(frozen=True)
 class Character:
-    """verts (V, 3); faces (F, 3); corner_rgb (F, 3, 3); part (V,) index into `parts`; weights (V, B); bone names."""
+    """verts (V, 3); faces (F, 3); corner_rgb (F, 3, 3); part (V,) index into `parts`; weights (V, B)."""
 
     verts: Array
     faces: NDArray[np.int64]

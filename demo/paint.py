@@ -226,6 +226,7 @@ def paint_fangs(p: Array) -> Array:
 
 PAINT: dict[str, Callable[[Array], Array]] = {
     "body": paint_body, "horns": paint_horns, "eyes": paint_eyes, "fangs": paint_fangs, "hair": paint_hair,
-    "belt": paint_belt, "buckle": paint_buckle, "skirt": paint_skirt, "cape": paint_cape, "scarf": paint_scarf,
+    "belt": paint_belt, "buckle": paint_buckle, "skirt": paint_skirt, "cape": paint_cape,
+    "scarf": paint_scarf,
 }  # fmt: skip
 """Part name -> colour function."""

@@ -107,7 +107,7 @@ def torus(
 
 
 def cloth(outer: Array, thickness: float) -> Mesh:
-    """A closed sheet from a grid of points (rows, columns, 3) of its outer side; the inner side lies `thickness` in."""
+    """A closed sheet from a grid (rows, columns, 3) of its outer side; the inner one lies `thickness` in."""
     rows, columns, _ = outer.shape
     along, across = np.gradient(outer, axis=0), np.gradient(outer, axis=1)
     normal = np.cross(across, along)

@@ -36,7 +36,7 @@ _LEFT = {
 
 
 def bones() -> dict[str, tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
-    """name -> (parent, head (3,), tail (3,)) of the 29 deform bones, parents first; `root` does not deform."""
+    """name -> (parent, head (3,), tail (3,)) of the 29 deform bones, parents first, below a bare `root`."""
     table = {name: (parent, np.array(head), np.array(tail)) for name, (parent, head, tail) in _MIDDLE.items()}
     for side, sign in ((".L", 1.0), (".R", -1.0)):
         for name, (parent, head, tail) in _LEFT.items():
@@ -53,13 +53,15 @@ POSES: dict[str, Turns] = {
     "wave": {
         "upper_arm.L": (0, -70, 10), "forearm.L": (0, -55, 0), "hand.L": (0, -15, 0),
         "upper_arm.R": (0, -22, 15), "forearm.R": (-25, 0, 25), "head": (0, 12, 8), "spine": (0, -5, 0),
-        "ear.L": (0, -18, 0), "ear.R": (0, -12, 0), "tail.2": (0, 0, 20), "tail.3": (0, 0, 20), "tail.4": (0, 0, 20),
+        "ear.L": (0, -18, 0), "ear.R": (0, -12, 0), "tail.2": (0, 0, 20), "tail.3": (0, 0, 20),
+        "tail.4": (0, 0, 20),
     },
     "stride": {
         "thigh.L": (-42, 0, 0), "shin.L": (30, 0, 0), "thigh.R": (28, 0, 0), "shin.R": (34, 0, 0),
-        "foot.R": (15, 0, 0), "upper_arm.L": (30, 20, 0), "upper_arm.R": (-35, -20, 0), "forearm.R": (-40, 0, 0),
-        "spine": (6, 0, -8), "chest": (0, 0, -10), "head": (-6, 0, 14), "cape.1": (14, 0, 0), "cape.2": (14, 0, 0),
-        "cape.3": (10, 0, 0), "tail.1": (10, 0, 0), "tail.3": (-14, 0, -14),
+        "foot.R": (15, 0, 0), "upper_arm.L": (30, 20, 0), "upper_arm.R": (-35, -20, 0),
+        "forearm.R": (-40, 0, 0),
+        "spine": (6, 0, -8), "chest": (0, 0, -10), "head": (-6, 0, 14), "cape.1": (14, 0, 0),
+        "cape.2": (14, 0, 0), "cape.3": (10, 0, 0), "tail.1": (10, 0, 0), "tail.3": (-14, 0, -14),
     },
     "bow": {
         "spine": (22, 0, 0), "chest": (14, 0, 0), "neck": (4, 0, 0), "head": (-8, 0, 8),
@@ -68,8 +70,9 @@ POSES: dict[str, Turns] = {
         "tail.1": (-18, 0, 0), "tail.2": (-18, 0, 0), "cape.1": (-22, 0, 0),
     },
     "kick": {
-        "hips": (0, 8, 0), "thigh.R": (-62, 12, 0), "shin.R": (18, 0, 0), "foot.R": (-15, 0, 0), "thigh.L": (8, -8, 0),
-        "upper_arm.L": (0, -45, 0), "upper_arm.R": (0, 45, 0), "forearm.L": (-40, 0, -20), "forearm.R": (-20, 0, 20),
+        "hips": (0, 8, 0), "thigh.R": (-62, 12, 0), "shin.R": (18, 0, 0), "foot.R": (-15, 0, 0),
+        "thigh.L": (8, -8, 0), "upper_arm.L": (0, -45, 0), "upper_arm.R": (0, 45, 0),
+        "forearm.L": (-40, 0, -20), "forearm.R": (-20, 0, 20),
         "head": (0, -10, -12), "ear.L": (0, -25, 0), "ear.R": (0, 25, 0), "spine": (-8, -6, 12),
         "tail.1": (-12, 0, -15), "tail.2": (0, 0, -20), "tail.3": (0, 0, -22), "cape.1": (12, 0, 6),
     },
@@ -82,7 +85,8 @@ def wave_at(phase: float) -> Turns:
     s2 = np.sin(4 * np.pi * phase)
     turns: Turns = {
         "hips": (0, 3 * s, 5 * s), "spine": (2, -3 * s, -6 * s), "chest": (0, -2 * s, -5 * s),
-        "head": (3 * s2, 6 * s, 8 * c), "upper_arm.L": (0, -55 + 6 * s, 8), "forearm.L": (0, -55 + 28 * s2, 0),
+        "head": (3 * s2, 6 * s, 8 * c), "upper_arm.L": (0, -55 + 6 * s, 8),
+        "forearm.L": (0, -55 + 28 * s2, 0),
         "hand.L": (0, 16 * s2, 0), "upper_arm.R": (-24 * s, -18, 0), "forearm.R": (-22 - 12 * s, 0, 14),
         "thigh.L": (-30 * max(s, -0.5), 0, 0), "shin.L": (38 * max(s, 0), 0, 0),
         "thigh.R": (-30 * max(-s, -0.5), 0, 0), "shin.R": (38 * max(-s, 0), 0, 0),

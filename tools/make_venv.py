@@ -3,8 +3,8 @@
 
     python3 tools/make_venv.py [--venv .venv]
 
-Runs under any Python >= 3.8 and uses the standard library only. The environment itself needs CPython 3.11 or 3.13,
-the two versions that Blender publishes its `bpy` module for.
+Runs under any Python >= 3.8 and uses the standard library only. The environment itself needs CPython 3.11 or
+3.13, the two versions that Blender publishes its `bpy` module for.
 """
 
 from __future__ import annotations
@@ -58,23 +58,21 @@ def main() -> int:
         return 0
 
     say(f"making {venv} with {python}")
-    if not (venv_python(venv).exists() and runs([str(venv_python(venv)), "-m", "pip", "--version"])):
-        if subprocess.call([python, "-m", "venv", "--clear", str(venv)]) != 0:
-            return fail(
-                f"The environment {venv} could not be made: install the venv package of {python} "
-                "(on Debian: apt-get install python3-venv)."
-            )
-    pip = [str(venv_python(venv)), "-m", "pip", "install", "--no-input", "--quiet"]
+    own = str(venv_python(venv))
+    usable = interpreter_version(own) == interpreter_version(python) and runs([own, "-m", "pip", "--version"])
+    if not usable and subprocess.call([python, "-m", "venv", "--clear", str(venv)]) != 0:
+        return fail(
+            f"The environment {venv} could not be made: install the venv package of {python} "
+            "(on Debian: apt-get install python3-venv)."
+        )
+    pip = [own, "-m", "pip", "install", "--no-input", "--quiet"]
     # torch comes first and alone: it is by far the largest download, and a later step then never replaces it.
     steps = [[TORCH], [BLENDER_MODULE[interpreter_version(python)], "-e", f"{ROOT}[{EXTRAS}]"]]
     for packages in steps:
         say("installing " + " ".join(packages))
         if subprocess.call([*pip, *packages], cwd=ROOT) != 0:
             return fail(f"pip could not install {' '.join(packages)}: its last lines above say why.")
-    if (
-        subprocess.call([str(venv_python(venv)), "-c", "import bpy, torch, numba, gskin_addon"], cwd=ROOT)
-        != 0
-    ):
+    if subprocess.call([own, "-c", "import bpy, torch, numba, gskin_addon"], cwd=ROOT) != 0:
         return fail(
             "The environment was installed but does not import; the lines above say which part is missing."
         )
@@ -113,7 +111,7 @@ def interpreter_version(python: str) -> tuple[int, int] | None:
 
 
 def install_system_libraries() -> str | None:
-    """Install what `import bpy` needs through apt when that is allowed; else a sentence that says what to type."""
+    """Install what `import bpy` needs through apt where allowed; else a sentence with what to type."""
     if platform.system() != "Linux":
         return None
     missing = missing_packages()
@@ -124,7 +122,7 @@ def install_system_libraries() -> str | None:
     apt = shutil.which("apt-get")
     prefix: list[str] = []
     if apt is None:
-        return f"Blender's module needs system libraries that are missing: {', '.join(missing)} (Debian's names)."
+        return f"Blender's module needs system libraries, by Debian's names: {', '.join(missing)}."
     if os.geteuid() != 0:
         if not (shutil.which("sudo") and runs(["sudo", "-n", "true"])):
             return advice
@@ -142,7 +140,7 @@ def install_system_libraries() -> str | None:
 
 
 def missing_packages() -> list[str]:
-    """Debian packages whose library cannot be opened; asked in a new process, which sees fresh loader caches."""
+    """Debian packages whose library cannot be opened; a new process sees what was installed meanwhile."""
     code = "import ctypes, sys; ctypes.CDLL(sys.argv[1])"
     return [
         package
