@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Initial skinning weights from geometry (Eq. 6-7), and their registry by name.
+
+Imports numpy only, so that a user interface can list the names; the kernels are loaded when weights are asked
+for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..rig.skeleton import Skeleton
+from ..splats.cloud import SplatCloud
+from .extent import unit_frame
+
+if TYPE_CHECKING:
+    from ..render.camera import Camera
+
+Array = NDArray[Any]
+InitialWeights = Callable[[SplatCloud, Skeleton, Array, "Sequence[Camera]"], Array]
+
+GAMMA = 0.5
+"""Binding smoothness of Eq. 7, the paper's default."""
+
+DELTA = 0.1
+"""The invisibility penalty of Eq. 6 for an object of unit diagonal: 10 % of it, the paper's value."""
+
+_CLOSEST = 1e-8  # squared: a splat on a bone counts as 1e-4 of the diagonal away from it
+
+
+def falloff_weights(squared: Array, gamma: float = GAMMA) -> Array:
+    """Eq. 7: w = (1 / ((1 - gamma) D + gamma D^2))^2, rows normalised to sum 1.
+
+    squared (N, B): D, squared distances of an object with unit diagonal, infinite where a bone has no
+    influence. Returns float32. A row that is infinite throughout gets equal weights.
+    """
+    d = np.maximum(np.asarray(squared, dtype=np.float64), _CLOSEST)
+    cost = (1 - gamma) * d + gamma * d * d
+    nearest = cost.min(axis=1, keepdims=True)
+    lost = ~np.isfinite(nearest[:, 0])
+    if lost.any():
+        cost[lost], nearest[lost] = 1, 1
+    weights = np.square(nearest / cost)  # relative to the nearest bone: no overflow
+    return (weights / weights.sum(axis=1, keepdims=True)).astype(np.float32)
+
+
+def initial_weights_visibility(
+    means: Array,
+    skeleton: Skeleton,
+    masks: Array,
+    cameras: Sequence[Camera],
+    gamma: float = GAMMA,
+    delta: float = DELTA,
+) -> Array:
+    """The paper's initial weights: Euclidean distance to the bones, and `delta` more where the bone is not
+    visible.
+
+    The object is brought to unit bounding-box diagonal first (D mixes squared lengths with a length), so that
+    the result does not depend on scale or place. means (N, 3) metres; masks (V, H, W) bool of the object in
+    each camera (Eq. 6). Returns (N, B) float32, rows sum to 1.
+    """
+    from .visibility import bone_visibility
+
+    _, diagonal = unit_frame(means)
+    squared, visible = bone_visibility(means, skeleton, masks, cameras)
+    return falloff_weights(squared / diagonal**2 + np.where(visible, 0, delta), gamma)
+
+
+def initial_weights_geodesic(
+    means: Array,
+    opacities: Array,
+    skeleton: Skeleton,
+    gamma: float = GAMMA,
+    *,
+    resolution: int = 96,
+    scales: Array | None = None,
+    quats: Array | None = None,
+) -> Array:
+    """Eq. 7 on geodesic distances through the filled splats (Dionne & de Lasa 2013); see
+    `geodesic_distances`.
+
+    Returns (N, B) float32, rows sum to 1.
+    """
+    from .geodesic import geodesic_distances
+
+    _, diagonal = unit_frame(means)
+    distance = geodesic_distances(means, opacities, skeleton, resolution, scales=scales, quats=quats)
+    return falloff_weights(np.square(distance / diagonal), gamma)
+
+
+def _visibility(cloud: SplatCloud, skeleton: Skeleton, masks: Array, cameras: Sequence[Camera]) -> Array:
+    return initial_weights_visibility(cloud.means, skeleton, masks, cameras)
+
+
+def _geodesic(cloud: SplatCloud, skeleton: Skeleton, masks: Array, cameras: Sequence[Camera]) -> Array:
+    return initial_weights_geodesic(
+        cloud.means, cloud.opacities, skeleton, scales=cloud.scales, quats=cloud.quats
+    )
+
+
+INITIAL_WEIGHTS: dict[str, InitialWeights] = {"visibility": _visibility, "geodesic": _geodesic}
+"""By name: (cloud, skeleton, masks (V, H, W) bool, cameras) -> weights (N, B) float32, rows sum to 1."""
+
+
+def initial_weights(
+    name: str, cloud: SplatCloud, skeleton: Skeleton, masks: Array, cameras: Sequence[Camera]
+) -> Array:
+    """Weights (N, B) by the method called `name`; InputError lists the names when there is none."""
+    if name not in INITIAL_WEIGHTS:
+        raise InputError(f"No initial weights are called '{name}'; choose {' or '.join(INITIAL_WEIGHTS)}.")
+    return INITIAL_WEIGHTS[name](cloud, skeleton, masks, cameras)
