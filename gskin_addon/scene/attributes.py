@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Whole attributes of a mesh's points, to and from arrays."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+# Blender's attribute type -> (property that holds the value, numbers per element, numpy type of foreach_*).
+# FLOAT_COLOR's "color" is the raw linear value; only "color_srgb" would be colour managed.
+_LAYOUT: dict[str, tuple[str, int, Any]] = {
+    "FLOAT": ("value", 1, np.float32),
+    "INT": ("value", 1, np.int32),
+    "BOOLEAN": ("value", 1, np.bool_),
+    "FLOAT_VECTOR": ("vector", 3, np.float32),
+    "FLOAT_COLOR": ("color", 4, np.float32),
+    "QUATERNION": ("value", 4, np.float32),
+}
+
+
+def write_attribute(mesh: bpy.types.Mesh, name: str, kind: str, values: NDArray[Any]) -> None:
+    """Store `values` (N,) or (N, k) as point attribute `name` of Blender's type `kind`, replacing any other."""
+    prop, width, dtype = _LAYOUT[kind]
+    attribute = mesh.attributes.get(name)
+    if attribute is not None and (attribute.data_type != kind or attribute.domain != "POINT"):
+        mesh.attributes.remove(attribute)
+        attribute = None
+    if attribute is None:
+        attribute = mesh.attributes.new(name, kind, "POINT")
+    flat = np.ascontiguousarray(values, dtype=dtype).reshape(-1)
+    if flat.size != width * len(mesh.vertices):
+        raise ValueError(f"{name} has {flat.size} numbers for {len(mesh.vertices)} points of width {width}")
+    attribute.data.foreach_set(prop, flat)
+
+
+def read_attribute(mesh: bpy.types.Mesh, name: str) -> NDArray[Any] | None:
+    """Point attribute `name` as (N,) or (N, k); None where the mesh has no such attribute on its points."""
+    attribute = mesh.attributes.get(name)
+    if attribute is None or attribute.domain != "POINT" or attribute.data_type not in _LAYOUT:
+        return None
+    prop, width, dtype = _LAYOUT[attribute.data_type]
+    flat = np.empty(len(attribute.data) * width, dtype=dtype)
+    attribute.data.foreach_get(prop, flat)
+    return flat if width == 1 else flat.reshape(-1, width)
+
+
+def read_positions(mesh: bpy.types.Mesh) -> NDArray[np.float32]:
+    """Vertex positions (N, 3) in the object's own space."""
+    flat = np.empty(len(mesh.vertices) * 3, dtype=np.float32)
+    mesh.attributes["position"].data.foreach_get("vector", flat)
+    return flat.reshape(-1, 3)
+
+
+def write_positions(mesh: bpy.types.Mesh, points: NDArray[Any]) -> None:
+    """Set the vertex positions from (N, 3)."""
+    flat = np.ascontiguousarray(points, dtype=np.float32).reshape(-1)
+    mesh.attributes["position"].data.foreach_set("vector", flat)
+    mesh.update()

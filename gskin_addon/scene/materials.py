@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Materials of drawn splats. Their colours are captured light, so both emit and take no lamps into account."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from . import names
+from .node_builder import Tree
+
+VERSION = 1
+
+
+def viewport_material() -> bpy.types.Material:
+    """Flat, opaque colour from the mesh attribute `names.COLOR`; built once per file."""
+    material, tree = _new("GSkin Splats (Viewport)")
+    if tree is not None:
+        color = tree.out("ShaderNodeAttribute", "Color", attribute_type="GEOMETRY", attribute_name=names.COLOR)
+        shader = tree.out("ShaderNodeEmission", "Emission", {"Color": color})
+        tree.node("ShaderNodeOutputMaterial", {"Surface": shader})
+    return material
+
+
+def render_material() -> bpy.types.Material:
+    """Gaussian fall-off over an instanced unit sphere of `RENDER_SIGMAS` standard deviations; built once per file.
+
+    Along a ray a 3D Gaussian is largest where the ray passes nearest to its centre, measured in the splat's own
+    (object) space: alpha = opacity exp(-r^2 / 2) with r that distance in standard deviations.
+    """
+    material, tree = _new("GSkin Splats")
+    if tree is not None:
+        shader = _gaussian_shader(tree)
+        tree.node("ShaderNodeOutputMaterial", {"Surface": shader})
+        # EEVEE cannot sort splats; dithering needs no order.
+        material.surface_render_method = "DITHERED"
+    return material
+
+
+def _gaussian_shader(tree: Tree) -> Any:
+    from .node_groups import RENDER_SIGMAS
+
+    attribute = tree.node("ShaderNodeAttribute", attribute_type="INSTANCER", attribute_name=names.COLOR)
+    geometry = tree.node("ShaderNodeNewGeometry")
+    point = tree.out("ShaderNodeTexCoord", "Object")
+    ray = tree.out(
+        "ShaderNodeVectorTransform",
+        "Vector",
+        {"Vector": tree.output(geometry, "Incoming")},
+        vector_type="VECTOR",
+        convert_from="WORLD",
+        convert_to="OBJECT",
+    )
+    ray = tree.vector("NORMALIZE", ray)
+    nearest = tree.vector("SUBTRACT", point, tree.scale(ray, tree.vector("DOT_PRODUCT", point, ray)))
+    squared = tree.vector("DOT_PRODUCT", nearest, nearest)
+    falloff = tree.math("EXPONENT", tree.math("MULTIPLY", squared, -0.5 * RENDER_SIGMAS**2))
+    alpha = tree.math("MULTIPLY", falloff, tree.output(attribute, "Alpha"))
+    # A ray meets every sphere twice; only where it enters does the splat count.
+    entering = tree.math("SUBTRACT", 1.0, tree.output(geometry, "Backfacing"))
+    alpha = tree.math("MULTIPLY", alpha, entering)
+    emission = tree.out("ShaderNodeEmission", "Emission", {"Color": tree.output(attribute, "Color")})
+    clear = tree.out("ShaderNodeBsdfTransparent", "BSDF")
+    return tree.out("ShaderNodeMixShader", "Shader", {0: alpha, 1: clear, 2: emission})
+
+
+def _new(name: str) -> tuple[bpy.types.Material, Tree | None]:
+    """The material of this name and our version, and its empty tree where it had to be made."""
+    for material in bpy.data.materials:
+        if material.get("gskin_material") == name and material.get("gskin_version") == VERSION and not material.library:
+            return material, None
+    material = bpy.data.materials.new(name)
+    material["gskin_material"], material["gskin_version"] = name, VERSION
+    material.use_nodes = True
+    material.node_tree.nodes.clear()
+    return material, Tree(material.node_tree)

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Short words for building node trees by code."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+Value = Any
+"""An output socket, or a constant for the input it goes to."""
+
+
+class Tree:
+    """A node tree being built: each call adds one node and returns an output socket."""
+
+    def __init__(self, tree: bpy.types.NodeTree) -> None:
+        self.tree = tree
+        self._column = 0
+
+    def node(self, kind: str, inputs: dict[str | int, Value] | None = None, **properties: Any) -> bpy.types.Node:
+        """Add a node; `properties` are set first, because they decide which sockets exist."""
+        node = self.tree.nodes.new(kind)
+        # A plain grid: nobody edits these by hand, but whoever opens the group should see every node.
+        node.location = (220 * (self._column // 6), -260 * (self._column % 6))
+        self._column += 1
+        for name, value in properties.items():
+            setattr(node, name, value)
+        for key, value in (inputs or {}).items():
+            self.connect(value, self.input(node, key))
+        return node
+
+    @staticmethod
+    def input(node: bpy.types.Node, key: str | int) -> bpy.types.NodeSocket:
+        """The input socket at a place, or the one in use among those of that name."""
+        if isinstance(key, int):
+            return node.inputs[key]
+        return next(s for s in node.inputs if s.name == key and s.enabled)
+
+    @staticmethod
+    def output(node: bpy.types.Node, key: str) -> bpy.types.NodeSocket:
+        """The output socket in use among those of that name."""
+        return next(s for s in node.outputs if s.name == key and s.enabled)
+
+    def connect(self, value: Value, socket: bpy.types.NodeSocket) -> None:
+        """Link a socket to an input, or set the input to a constant."""
+        if isinstance(value, bpy.types.NodeSocket):
+            self.tree.links.new(value, socket)
+        else:
+            socket.default_value = value
+
+    def out(self, kind: str, name: str, inputs: dict[str | int, Value] | None = None, **properties: Any) -> Value:
+        """Add a node and return its output `name`."""
+        return self.output(self.node(kind, inputs, **properties), name)
+
+    def math(self, operation: str, *values: Value) -> Value:
+        """A float operation."""
+        return self.out("ShaderNodeMath", "Value", dict(enumerate(values)), operation=operation)
+
+    def vector(self, operation: str, *values: Value) -> Value:
+        """A vector operation; DOT_PRODUCT and LENGTH give a float."""
+        node = self.node("ShaderNodeVectorMath", dict(enumerate(values)), operation=operation)
+        return next(s for s in node.outputs if s.enabled)
+
+    def scale(self, vector: Value, factor: Value) -> Value:
+        """A vector times a float."""
+        inputs = {"Vector": vector, "Scale": factor}
+        return self.out("ShaderNodeVectorMath", "Vector", inputs, operation="SCALE")
+
+    def attribute(self, name: str, kind: str) -> Value:
+        """A named attribute of a geometry, by Blender's attribute type."""
+        return self.out("GeometryNodeInputNamedAttribute", "Attribute", {"Name": name}, data_type=kind)
+
+
+def geometry_group(name: str, version: int, inputs: list[tuple[str, str, dict[str, Any]]]) -> tuple[Any, bool]:
+    """The geometry node group of this name and version, and whether it is new and still empty.
+
+    inputs: (name, socket type, properties) after the geometry. A group of another version (an older file's) is left
+    alone for the objects that use it.
+    """
+    for group in bpy.data.node_groups:
+        if group.get("gskin_group") == name and group.get("gskin_version") == version and group.library is None:
+            return group, False
+    group = bpy.data.node_groups.new(name, "GeometryNodeTree")
+    group["gskin_group"], group["gskin_version"] = name, version
+    group.is_modifier = True
+    group.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
+    for label, kind, properties in inputs:
+        socket = group.interface.new_socket(label, in_out="INPUT", socket_type=kind)
+        for key, value in properties.items():
+            setattr(socket, key, value)
+    group.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    return group, True
+
+
+def set_input(modifier: bpy.types.NodesModifier, name: str, value: Any) -> None:
+    """Set a node group's input on a modifier by its label."""
+    modifier[_identifier(modifier, name)] = value
+    modifier.id_data.update_tag()
+
+
+def get_input(modifier: bpy.types.NodesModifier, name: str) -> Any:
+    """The value of a node group's input on a modifier by its label."""
+    return modifier.get(_identifier(modifier, name))
+
+
+def _identifier(modifier: bpy.types.NodesModifier, name: str) -> str:
+    for item in modifier.node_group.interface.items_tree:
+        if item.item_type == "SOCKET" and item.in_out == "INPUT" and item.name == name:
+            return str(item.identifier)
+    raise KeyError(f"node group '{modifier.node_group.name}' has no input '{name}'")

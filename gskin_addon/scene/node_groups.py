@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The node group that draws splats as coloured ellipsoids.
+
+In the viewport they are octahedra of one mesh, which Blender draws fast and which show their colours in Solid mode
+too; in renders they are instances of a sphere whose material fades like the Gaussian itself.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from . import names
+from .materials import render_material, viewport_material
+from .node_builder import Tree, geometry_group, get_input, set_input
+
+VERSION = 1
+
+VIEWPORT_LIMIT = 50_000
+RENDER_SIGMAS = 3.0
+"""Radius of a rendered splat in standard deviations; its opacity there is 1 % of the peak."""
+VIEWPORT_SIGMAS = 1.7
+"""Radius of a splat drawn solid: about where a Gaussian stops to hide what is behind it."""
+
+_SH_C0 = 0.28209479177387814
+
+_INPUTS: list[tuple[str, str, dict[str, Any]]] = [
+    (
+        "Display",
+        "NodeSocketBool",
+        {"default_value": True, "description": "Draw ellipsoids; off, the object is its bare points"},
+    ),
+    (
+        "Viewport Limit",
+        "NodeSocketInt",
+        {
+            "default_value": VIEWPORT_LIMIT,
+            "min_value": 1,
+            "description": "Most splats drawn in the viewport, spread evenly over all; renders draw every one",
+        },
+    ),
+    (
+        "Size",
+        "NodeSocketFloat",
+        {"default_value": 1.0, "min_value": 0.0, "max_value": 10.0, "description": "Factor on the size of every splat"},
+    ),
+    (
+        "Minimum Opacity",
+        "NodeSocketFloat",
+        {
+            "default_value": 0.1,
+            "min_value": 0.0,
+            "max_value": 1.0,
+            "subtype": "FACTOR",
+            "description": "Splats below this opacity are not drawn in the viewport, where all look opaque",
+        },
+    ),
+]
+
+
+def display_group() -> bpy.types.NodeTree:
+    """The shared node group "GSkin Display"; built once per file."""
+    group, new = geometry_group(names.DISPLAY_MODIFIER, VERSION, _INPUTS)
+    if new:
+        _build(group)
+    return group
+
+
+def find_display(obj: bpy.types.Object) -> bpy.types.NodesModifier | None:
+    """The object's display modifier, by its node group and not by its name."""
+    for modifier in obj.modifiers:
+        if modifier.type == "NODES" and modifier.node_group is not None:
+            if modifier.node_group.get("gskin_group") == names.DISPLAY_MODIFIER:
+                return modifier
+    return None
+
+
+def add_display(obj: bpy.types.Object) -> bpy.types.NodesModifier:
+    """Give the object the display modifier, last in its stack; an existing one is kept."""
+    modifier = find_display(obj)
+    if modifier is None:
+        modifier = obj.modifiers.new(names.DISPLAY_MODIFIER, "NODES")
+        modifier.node_group = display_group()
+        # In Edit Mode the artist needs the points themselves.
+        modifier.show_in_editmode = False
+        modifier.show_expanded = False
+    obj.modifiers.move(obj.modifiers.find(modifier.name), len(obj.modifiers) - 1)
+    return modifier
+
+
+def set_display(obj: bpy.types.Object, name: str, value: Any) -> None:
+    """Set an input of the display: "Display", "Viewport Limit", "Size" or "Minimum Opacity"."""
+    set_input(add_display(obj), name, value)
+
+
+def get_display(obj: bpy.types.Object, name: str) -> Any:
+    """Read an input of the display; None where the object has no display modifier."""
+    modifier = find_display(obj)
+    return None if modifier is None else get_input(modifier, name)
+
+
+def _build(group: bpy.types.NodeTree) -> None:
+    tree = Tree(group)
+    source = tree.node("NodeGroupInput")
+    splats = tree.output(source, "Geometry")
+    size = tree.output(source, "Size")
+    in_viewport = tree.out("GeometryNodeIsViewport", "Is Viewport")
+
+    count = tree.out("GeometryNodeAttributeDomainSize", "Point Count", {"Geometry": splats}, component="MESH")
+    limited = tree.math("MINIMUM", count, tree.output(source, "Viewport Limit"))
+    inputs = {"Switch": in_viewport, "False": count, "True": limited}
+    shown = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="INT")
+    step = tree.math("DIVIDE", count, shown)
+    index = tree.out("GeometryNodeInputIndex", "Index")
+    splat = tree.math("FLOOR", tree.math("MULTIPLY", index, step))
+
+    def sampled(name: str, kind: str) -> Any:
+        # Sampling from new points instead of deleting and instancing the splats' own: nothing copies their
+        # up to 75 SH attributes.
+        inputs = {"Geometry": splats, "Value": tree.attribute(name, kind), "Index": splat}
+        return tree.out("GeometryNodeSampleIndex", "Value", inputs, data_type=kind, domain="POINT")
+
+    base = sampled(names.BASE, "FLOAT_COLOR")
+    points = tree.out(
+        "GeometryNodePoints", "Points", {"Count": shown, "Position": sampled("position", "FLOAT_VECTOR")}
+    )
+    points = tree.out(
+        "GeometryNodeStoreNamedAttribute",
+        "Geometry",
+        {"Geometry": points, "Name": names.COLOR, "Value": _linear_color(tree, base)},
+        data_type="FLOAT_COLOR",
+        domain="POINT",
+    )
+
+    opacity = tree.output(tree.node("FunctionNodeSeparateColor", {"Color": base}), "Alpha")
+    visible = tree.out(
+        "FunctionNodeCompare",
+        "Result",
+        {"A": opacity, "B": tree.output(source, "Minimum Opacity")},
+        data_type="FLOAT",
+        operation="GREATER_EQUAL",
+    )
+    rotation, scale = sampled(names.ROTATION, "QUATERNION"), sampled(names.SCALE, "FLOAT_VECTOR")
+
+    def instances(shape: Any, sigmas: Any, selection: Any) -> Any:
+        inputs = {
+            "Points": points,
+            "Instance": shape,
+            "Selection": selection,
+            "Rotation": rotation,
+            "Scale": tree.scale(scale, tree.math("MULTIPLY", size, sigmas)),
+        }
+        return tree.out("GeometryNodeInstanceOnPoints", "Instances", inputs)
+
+    octahedron = tree.out("GeometryNodeMeshUVSphere", "Mesh", {"Segments": 4, "Rings": 2, "Radius": 1.0})
+    octahedron = tree.out(
+        "GeometryNodeSetMaterial", "Geometry", {"Geometry": octahedron, "Material": viewport_material()}
+    )
+    # Fewer splats are drawn larger, so that the surface stays closed.
+    wider = tree.math("MULTIPLY", tree.math("SQRT", tree.math("MINIMUM", step, 9.0)), VIEWPORT_SIGMAS)
+    solid = tree.out(
+        "GeometryNodeRealizeInstances", "Geometry", {"Geometry": instances(octahedron, wider, visible)}
+    )
+
+    sphere = tree.out("GeometryNodeMeshIcoSphere", "Mesh", {"Radius": 1.0, "Subdivisions": 2})
+    sphere = tree.out("GeometryNodeSetMaterial", "Geometry", {"Geometry": sphere, "Material": render_material()})
+    soft = instances(sphere, RENDER_SIGMAS, True)
+
+    inputs = {"Switch": in_viewport, "False": soft, "True": solid}
+    drawn = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
+    inputs = {"Switch": tree.output(source, "Display"), "False": splats, "True": drawn}
+    result = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
+    tree.node("NodeGroupOutput", {"Geometry": result})
+
+
+def _linear_color(tree: Tree, base: Any) -> Any:
+    """clip(0.5 + C0 f_dc), decoded from sRGB to Blender's linear colours; alpha is the opacity."""
+    parts = tree.node("FunctionNodeSeparateColor", {"Color": base})
+    channels = {"Alpha": tree.output(parts, "Alpha")}
+    for name in ("Red", "Green", "Blue"):
+        srgb = tree.math("MULTIPLY_ADD", tree.output(parts, name), _SH_C0, 0.5)
+        srgb = tree.out("ShaderNodeClamp", "Result", {"Value": srgb, "Min": 0.0, "Max": 1.0})
+        power = tree.math("POWER", tree.math("MULTIPLY_ADD", srgb, 1 / 1.055, 0.055 / 1.055), 2.4)
+        # The straight piece of the sRGB curve is above the power near black and below it elsewhere.
+        dark = tree.math("LESS_THAN", srgb, 0.04045)
+        straight = tree.math("SUBTRACT", tree.math("DIVIDE", srgb, 12.92), power)
+        channels[name] = tree.math("MULTIPLY_ADD", dark, straight, power)
+    return tree.out("FunctionNodeCombineColor", "Color", channels)

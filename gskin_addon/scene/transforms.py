@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""An object's place in the world, as far as splats can follow it: rotation, uniform scale, translation."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import InputError
+
+Array = NDArray[Any]
+
+
+def world_similarity(obj: bpy.types.Object) -> tuple[Array, float, Array]:
+    """Rotation (3, 3), scale, translation (3,) in float64 of the object's world matrix.
+
+    Raises InputError where the matrix is not uniform: a stretched, sheared or mirrored Gaussian has no rotation
+    and scale of its own.
+    """
+    bpy.context.view_layer.update()  # matrix_world lags behind location, rotation and scale set by a script
+    matrix = np.array(obj.matrix_world, dtype=np.float64)
+    linear = matrix[:3, :3]
+    scale = float(np.cbrt(np.linalg.det(linear)))
+    if scale <= 0.0:
+        raise InputError(
+            f"'{obj.name}' is mirrored or has zero scale; "
+            "make its scale positive and apply it (Object > Apply > Scale)."
+        )
+    rotation = linear / scale
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4):
+        sizes = ", ".join(f"{s:.4g}" for s in np.linalg.norm(linear, axis=0))
+        raise InputError(f"'{obj.name}' is scaled unevenly ({sizes}); apply it (Object > Apply > Scale) and try again.")
+    u, _, vt = np.linalg.svd(rotation)
+    return u @ vt, scale, matrix[:3, 3]
