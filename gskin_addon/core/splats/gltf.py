@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Splats as the vertex attributes of a glTF primitive (KHR_gaussian_splatting) and back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .axes import up_rotation
+from .cloud import AnyArray, Floats, SplatCloud
+
+EXTENSION_NAME = "KHR_gaussian_splatting"
+MAX_GLTF_SH_DEGREE = 3
+"""Harmonics of a higher degree have no attribute in the extension."""
+
+EXTENSION: Mapping[str, str] = {
+    "kernel": "ellipse",
+    "colorSpace": "srgb_rec709_display",
+    "projection": "perspective",
+    "sortingMethod": "cameraDistance",
+}
+"""The extension object of the primitive: splats as trained by 3DGS programs, in display-referred sRGB."""
+
+SKINNING_EXTRAS_NAME = "GSKIN_splat_skinning"
+SKINNING_EXTRAS: Mapping[str, Any] = {
+    "version": 1,
+    "rotation": "weightedQuaternionSum",
+    "signs": "strongestJoint",
+    "scale": "constant",
+    "sphericalHarmonics": "rotateWithSplat",
+}
+"""In the primitive's extras: how the splats turn with the skin; `docs/gltf.md` defines each value."""
+
+
+def blender_to_gltf() -> NDArray[np.float64]:
+    """(3, 3) rotation from Blender's Z-up world to glTF's Y-up world: (x, y, z) -> (x, z, -y)."""
+    return up_rotation("y").T
+
+
+def sh_attribute(index: int) -> str:
+    """Attribute name of spherical-harmonic coefficient `index` (0 = the constant one)."""
+    degree = int(index**0.5)
+    return f"{EXTENSION_NAME}:SH_DEGREE_{degree}_COEF_{index - degree * degree}"
+
+
+def encode_attributes(cloud: SplatCloud) -> dict[str, Floats]:
+    """The extension's vertex attributes of a cloud that is already in glTF's axes; float32, by name.
+
+    ROTATION (N, 4) xyzw unit; SCALE (N, 3) linear; OPACITY (N,); SH_DEGREE_l_COEF_n (N, 3) each, l <= 3.
+    POSITION is the centres themselves and not part of it.
+    """
+    attributes: dict[str, Floats] = {
+        f"{EXTENSION_NAME}:ROTATION": np.ascontiguousarray(np.roll(cloud.quats, -1, axis=1)),
+        f"{EXTENSION_NAME}:SCALE": np.ascontiguousarray(cloud.scales),
+        f"{EXTENSION_NAME}:OPACITY": np.ascontiguousarray(cloud.opacities),
+    }
+    count = (min(cloud.sh_degree, MAX_GLTF_SH_DEGREE) + 1) ** 2
+    for index in range(count):
+        attributes[sh_attribute(index)] = np.ascontiguousarray(cloud.sh[:, index])
+    return attributes
+
+
+def decode_attributes(positions: Floats, attributes: Mapping[str, AnyArray]) -> SplatCloud:
+    """The cloud of attributes as `encode_attributes` makes them; KeyError where a required one is missing."""
+    coefficients: list[AnyArray] = []
+    while sh_attribute(len(coefficients)) in attributes:
+        coefficients.append(attributes[sh_attribute(len(coefficients))])
+    if not coefficients:
+        raise KeyError(sh_attribute(0))
+    return SplatCloud(
+        means=positions,
+        quats=np.roll(attributes[f"{EXTENSION_NAME}:ROTATION"], 1, axis=1),
+        scales=attributes[f"{EXTENSION_NAME}:SCALE"],
+        opacities=attributes[f"{EXTENSION_NAME}:OPACITY"],
+        sh=np.stack(coefficients, axis=1),
+    )
+
+
+def fallback_color(cloud: SplatCloud) -> NDArray[np.uint16]:
+    """COLOR_0 (N, 4) as normalised 16-bit: linear colour of the constant harmonic, and the opacity.
+
+    For viewers that do not know the extension. Vertex colours are linear in glTF, the splats' are sRGB.
+    """
+    srgb = cloud.base_colors().astype(np.float64)
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    rgba = np.concatenate([linear, np.clip(cloud.opacities[:, None], 0.0, 1.0)], axis=1)
+    return np.round(rgba * 65535.0).astype(np.uint16)

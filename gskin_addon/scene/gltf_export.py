@@ -1,0 +1,267 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rigged splats in glTF: a part of Blender's own exporter, and one function that exports a .glb.
+
+Blender's exporter writes armature, skin, animations and the splats' positions and weights; the class below,
+which the exporter finds in the add-on, adds what KHR_gaussian_splatting asks for. See `docs/gltf.md`.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import GSkinError, InputError
+from ..core.splats import gltf
+from ..core.splats.axes import rotate_cloud
+from ..core.splats.cloud import SplatCloud
+from .bone_frames import armature_of
+from .splat_object import is_splat_object, read_cloud
+
+_EXPORTER = "io_scene_gltf2"
+_hidden: list[tuple[str, str]] = []
+"""Names of object and modifier that are switched off while an export runs."""
+
+
+class SplatExport:
+    """Hooks of Blender's glTF exporter; one instance per export.
+
+    Independent of Blender's version and of the dialog's options: splats are always written as points, from
+    the mesh before Geometry Nodes.
+    """
+
+    def __init__(self) -> None:
+        self._object: bpy.types.Object | None = None
+        self._options: dict[str, Any] = {}
+
+    def pre_export_hook(self, export_settings: dict[str, Any]) -> None:
+        """Switch off the splats' node groups: their instances would hide the points and the skin."""
+        self._options = {name: export_settings.get(name) for name in ("gltf_loose_points", "gltf_apply")}
+        hide_nodes()
+        # post_export_hook is not called when the exporter fails.
+        bpy.app.timers.register(show_nodes, first_interval=0.0)
+
+    def post_export_hook(self, export_settings: dict[str, Any]) -> None:
+        """Switch them on again."""
+        show_nodes()
+
+    def gather_node_mesh_hook(
+        self, option: Any, blender_object: Any, export_settings: dict[str, Any]
+    ) -> None:
+        """Before each object's mesh: choose the options that splats need, for splats only."""
+        splats = is_splat_object(blender_object)
+        self._object = blender_object if splats else None
+        export_settings["gltf_loose_points"] = splats or self._options["gltf_loose_points"]
+        export_settings["gltf_apply"] = False if splats else self._options["gltf_apply"]
+
+    def gather_mesh_hook(
+        self,
+        gltf2_mesh: Any,
+        blender_mesh: Any,
+        blender_object: Any,
+        vertex_groups: Any,
+        modifiers: Any,
+        materials: Any,
+        export_settings: dict[str, Any],
+    ) -> None:
+        """Turn the exporter's points into splats."""
+        if self._object is None or blender_mesh != self._object.data:
+            return
+        try:
+            # A skinned mesh is stored in world space, any other in its object's.
+            skinned = any(name.startswith("JOINTS_") for name in gltf2_mesh.primitives[0].attributes)
+            cloud = read_cloud(self._object, world=skinned)
+            if export_settings["gltf_yup"]:
+                cloud = rotate_cloud(cloud, gltf.blender_to_gltf())
+            _add_splats(gltf2_mesh, cloud)
+        except GSkinError as error:
+            export_settings["log"].error(str(error), popup=True)
+            _failures.append(error)
+
+
+_failures: list[GSkinError] = []
+"""Errors of the running export; the exporter itself only prints what happens in a hook."""
+
+
+def export_glb(
+    path: str | os.PathLike[str],
+    objects: Sequence[bpy.types.Object],
+    *,
+    deform_bones_only: bool = False,
+    animations: bool = True,
+) -> None:
+    """Export splat objects, with the armatures they follow and those armatures' actions, as one .glb.
+
+    Further objects in `objects` are exported as Blender does. The file appears at `path` when it is complete.
+
+    Raises InputError: no splat object, not a .glb name, an object that is not in the scene or not selectable,
+    non-uniform object scale; GSkinError where the exporter fails or the file cannot be written.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".glb":
+        raise InputError(f"{path} does not end in .glb; choose such a name.")
+    if not any(is_splat_object(obj) for obj in objects):
+        raise InputError(f"{path}: there are no splats among the objects to export; select a splat object.")
+    armatures = [armature for obj in objects if (armature := armature_of(obj)) is not None]
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part.glb")
+    try:
+        with _selected([*objects, *armatures]), _discoverable(), nodes_hidden():
+            _failures.clear()
+            bpy.ops.export_scene.gltf(
+                filepath=str(temporary),
+                check_existing=False,
+                export_format="GLB",
+                use_selection=True,
+                export_apply=False,
+                export_yup=True,
+                use_mesh_vertices=True,
+                export_skins=True,
+                export_all_influences=False,
+                export_influence_nb=4,
+                export_def_bones=deform_bones_only,
+                export_morph=False,
+                export_animations=animations,
+                export_materials="EXPORT",
+            )
+        if _failures:
+            raise _failures[0]
+        os.replace(temporary, path)
+    except RuntimeError as error:
+        raise GSkinError(f"{path}: Blender's glTF exporter failed ({error}).") from error
+    except OSError as error:
+        reason = error.strerror or error
+        raise GSkinError(f"{path} cannot be written ({reason}); check the folder and free space.") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def hide_nodes() -> None:
+    """Switch off the Geometry Nodes modifiers of all splat objects, until `show_nodes`."""
+    for obj in bpy.data.objects:
+        if is_splat_object(obj):
+            for modifier in obj.modifiers:
+                if modifier.type == "NODES" and modifier.show_viewport:
+                    modifier.show_viewport = False
+                    _hidden.append((obj.name, modifier.name))
+
+
+def show_nodes() -> None:
+    """Switch on what `hide_nodes` switched off."""
+    while _hidden:
+        object_name, modifier_name = _hidden.pop()
+        obj = bpy.data.objects.get(object_name)
+        if obj is not None and modifier_name in obj.modifiers:
+            obj.modifiers[modifier_name].show_viewport = True
+
+
+@contextmanager
+def nodes_hidden() -> Iterator[None]:
+    """The splats' node groups are switched off inside the block, whatever happens."""
+    hide_nodes()
+    try:
+        yield
+    finally:
+        show_nodes()
+
+
+@contextmanager
+def _selected(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
+    """Exactly these objects are selected inside the block."""
+    layer = bpy.context.view_layer
+    before, active = [obj for obj in layer.objects if obj.select_get()], layer.objects.active
+    try:
+        for obj in before:
+            obj.select_set(False)
+        for obj in objects:
+            if obj.name in layer.objects:
+                obj.select_set(True)
+            if obj.name not in layer.objects or not obj.select_get():
+                raise InputError(f"'{obj.name}' is hidden or not in the scene; show it and export again.")
+        yield
+    finally:
+        for obj in layer.objects:
+            obj.select_set(obj in before)
+        layer.objects.active = active
+
+
+@contextmanager
+def _discoverable() -> Iterator[None]:
+    """The exporter finds `SplatExport` inside the block even where gskin is not an enabled add-on.
+
+    It asks the modules of enabled add-ons, its own among them.
+    """
+    addons = bpy.context.preferences.addons.keys()
+    if _EXPORTER not in addons:
+        raise GSkinError(
+            "Blender's glTF exporter is switched off; enable 'glTF 2.0 format' in the preferences."
+        )
+    package = (__package__ or "").rpartition(".")[0]
+    if package in addons:
+        yield
+        return
+    module = sys.modules[_EXPORTER]
+    before = getattr(module, "glTF2ExportUserExtensions", None)
+    module.glTF2ExportUserExtensions = [*(before or []), SplatExport]  # type: ignore[attr-defined]
+    try:
+        yield
+    finally:
+        if before is None:
+            del module.glTF2ExportUserExtensions  # type: ignore[attr-defined]
+        else:
+            module.glTF2ExportUserExtensions = before  # type: ignore[attr-defined]
+
+
+def _add_splats(gltf2_mesh: Any, cloud: SplatCloud) -> None:
+    """Give the mesh's one primitive the attributes, the extension object and the note on skinning."""
+    from io_scene_gltf2.io.com.gltf2_io_extensions import Extension
+
+    primitive = gltf2_mesh.primitives[0]
+    count = primitive.attributes["POSITION"].count
+    if len(gltf2_mesh.primitives) != 1 or count != cloud.count:
+        raise InputError(f"'{gltf2_mesh.name}' has faces or edges besides its splats; delete them, export again.")
+    # Whatever else the exporter found (vertex colours, upper-cased attributes) is not in glTF's axes or not legal.
+    kept = ("POSITION", "JOINTS_", "WEIGHTS_", "_")
+    attributes = {name: value for name, value in primitive.attributes.items() if name.startswith(kept)}
+    attributes["COLOR_0"] = _accessor(gltf.fallback_color(cloud))
+    for name, values in gltf.encode_attributes(cloud).items():
+        attributes[name] = _accessor(values)
+    primitive.attributes = attributes
+    # Points without normals are drawn unlit; the splats' Blender material means nothing outside.
+    primitive.material = None
+    primitive.extensions = dict(primitive.extensions or {})
+    primitive.extensions[gltf.EXTENSION_NAME] = Extension(
+        name=gltf.EXTENSION_NAME, extension=dict(gltf.EXTENSION), required=False
+    )
+    if "JOINTS_0" in attributes:
+        primitive.extras = {**(primitive.extras or {}), gltf.SKINNING_EXTRAS_NAME: dict(gltf.SKINNING_EXTRAS)}
+
+
+def _accessor(values: NDArray[Any]) -> Any:
+    """An accessor of the exporter for an array (N,) or (N, k) of float32, or of normalised uint16."""
+    from io_scene_gltf2.io.com import gltf2_io
+    from io_scene_gltf2.io.com.constants import BufferViewTarget, ComponentType, DataType
+    from io_scene_gltf2.io.exp.binary_data import BinaryData
+
+    width = 1 if values.ndim == 1 else values.shape[1]
+    is_float = values.dtype == np.float32
+    return gltf2_io.Accessor(
+        buffer_view=BinaryData(values.tobytes(), BufferViewTarget.ARRAY_BUFFER),
+        byte_offset=None,
+        component_type=ComponentType.Float if is_float else ComponentType.UnsignedShort,
+        count=len(values),
+        extensions=None,
+        extras=None,
+        max=None,
+        min=None,
+        name=None,
+        normalized=None if is_float else True,
+        sparse=None,
+        type={1: DataType.Scalar, 3: DataType.Vec3, 4: DataType.Vec4}[width],
+    )
