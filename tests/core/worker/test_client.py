@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import worker_jobs as jobs
+
+from gskin_addon.core.errors import Cancelled, GSkinError, InputError
+from gskin_addon.core.worker import interpreter
+from gskin_addon.core.worker.client import WorkerClient, WorkerError
+
+posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
+
+
+def client_for(folder: Path, python: str = sys.executable) -> WorkerClient:
+    return WorkerClient(python, folder, program=jobs.FAKE)
+
+
+def follow(client: WorkerClient, timeout: float = 30) -> tuple[list, float]:
+    """All events, and the longest that a `poll` took."""
+    events, longest, until = [], 0.0, time.monotonic() + timeout
+    while client.state == "running" and time.monotonic() < until:
+        began = time.perf_counter()
+        events += client.poll()
+        longest = max(longest, time.perf_counter() - began)
+        time.sleep(0.01)
+    return events, longest
+
+
+def test_runs_and_answers(tmp_path):
+    client = client_for(jobs.make_job(tmp_path))
+    assert client.state == "new"
+    client.start()
+    with pytest.raises(GSkinError, match="not ended"):
+        client.result()
+    events, longest = follow(client)
+    assert client.state == "done"
+    assert [event.stage for event in events] == ["start", "steps", "write"]
+    assert events[1].losses == {"l1": 0.25}
+    assert longest < 0.05
+    np.testing.assert_array_equal(client.result().weights[:, 0], 1.0)
+    assert "chatter on stdout" in client.log
+
+
+def test_wait_is_the_whole_of_it(tmp_path):
+    client = client_for(jobs.make_job(tmp_path))
+    client.start()
+    seen = []
+    assert client.wait(seen.append).bones == ("lower", "upper")
+    assert seen
+
+
+@pytest.mark.parametrize("act", ["talk", "deaf"])
+def test_cancel_neither_waits_nor_takes_a_second(tmp_path, act):
+    client = client_for(jobs.make_job(tmp_path, act=act))
+    client.start()
+    while not any(event.stage == act for event in client.poll()):
+        time.sleep(0.02)
+    began = time.monotonic()
+    client.cancel()
+    client.cancel()
+    assert time.monotonic() - began < 0.05
+    follow(client)
+    assert time.monotonic() - began < 1.0
+    assert client.state == "cancelled"
+    with pytest.raises(Cancelled):
+        client.result()
+
+
+@posix
+def test_a_worker_that_hears_nothing_is_killed(tmp_path):
+    client = client_for(jobs.make_job(tmp_path, act="talk"))
+    client.start()
+    while not client.poll():
+        time.sleep(0.02)
+    client._process.send_signal(signal.SIGSTOP)
+    client.cancel()
+    began = time.monotonic()
+    follow(client)
+    assert time.monotonic() - began < 1.2
+    assert client.state == "cancelled"
+
+
+def test_the_remote_traceback_is_carried(tmp_path):
+    client = client_for(jobs.make_job(tmp_path, act="raise"))
+    client.start()
+    follow(client)
+    assert client.state == "failed"
+    with pytest.raises(WorkerError, match="the middle of the matter") as caught:
+        client.result()
+    assert caught.value.exit_code == 1
+    assert "fake_worker.py" in caught.value.traceback
+
+
+def test_an_error_of_the_listener_stops_the_worker(tmp_path):
+    client = client_for(jobs.make_job(tmp_path, act="talk"))
+    client.start()
+
+    def listen(_event):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        client.wait(listen)
+    assert client.state == "cancelled"
+
+
+def test_bad_input_keeps_its_exit_code(tmp_path):
+    client = WorkerClient(sys.executable, tmp_path / "none")
+    client.start()
+    follow(client)
+    with pytest.raises(WorkerError, match="does not exist") as caught:
+        client.result()
+    assert caught.value.exit_code == 2
+
+
+def test_what_is_no_python(tmp_path):
+    with pytest.raises(InputError, match=r"'/nowhere/python'.*GSKIN_PYTHON"):
+        WorkerClient("/nowhere/python", tmp_path).start()
+    program = shutil.which("false")
+    if program:
+        client = client_for(tmp_path, program)
+        client.start()
+        follow(client)
+        assert client.state == "failed"
+        assert "ended without a result" in client.error
+
+
+def test_check_python_knows_this_one():
+    report = interpreter.check_python(sys.executable)
+    assert report.version == sys.version_info[:3]
+    assert set(report.found) == set(interpreter.NEEDED)
+    assert report.usable
+    assert "torch" in report.sentence
+
+
+@posix
+def test_check_python_tells_what_is_wrong(tmp_path):
+    bare = tmp_path / "python-bare"
+    bare.write_text(f'#!/bin/sh\nexec "{sys.executable}" -S -E "$@"\n')
+    bare.chmod(0o755)
+    report = interpreter.check_python(bare)
+    assert not report.usable
+    assert report.missing == list(interpreter.NEEDED)
+    assert f"{bare} -m pip install numpy scipy numba torch" in report.sentence
+    for path, words in (
+        (tmp_path / "none", "cannot be started"),
+        (shutil.which("true"), "answer like Python"),
+    ):
+        assert words in interpreter.check_python(path).sentence
+    slow = tmp_path / "slow"
+    slow.write_text("#!/bin/sh\nexec sleep 60\n")
+    slow.chmod(0o755)
+    assert "did not answer" in interpreter.check_python(slow, timeout=0.2).sentence
+
+
+def test_asking_does_not_wait(monkeypatch):
+    checks = interpreter.PythonChecks()
+    assert checks.known("python") is None
+    monkeypatch.setattr(interpreter, "check_python", lambda path: (time.sleep(0.2), "answer")[1])
+    began = time.monotonic()
+    checks.ask("python")
+    assert time.monotonic() - began < 0.1
+    assert checks.asking("python")
+    while checks.asking("python"):
+        time.sleep(0.01)
+    assert checks.known("python") == "answer"
+
+
+def make_environment(prefix: Path, *, torch: bool) -> Path:
+    python = prefix / "bin" / "python"
+    python.parent.mkdir(parents=True)
+    python.write_text("#!/bin/sh\n")
+    python.chmod(0o755)
+    if torch:
+        package = prefix / "lib" / "python3.12" / "site-packages" / "torch"
+        package.mkdir(parents=True)
+        (package / "version.py").write_text("")
+    return python
+
+
+@posix
+def test_finding_an_interpreter_starts_none(tmp_path, monkeypatch):
+    def refuse(*_args, **_kwargs):
+        raise AssertionError("a process was started")
+
+    monkeypatch.setattr(subprocess, "Popen", refuse)
+    monkeypatch.delenv("GSKIN_PYTHON", raising=False)
+    assert interpreter.find_worker_python() == Path(sys.executable)
+
+    named, preferred = (make_environment(tmp_path / n, torch=False) for n in ("named", "preferred"))
+    assert interpreter.find_worker_python(str(preferred)) == preferred
+    monkeypatch.setenv("GSKIN_PYTHON", str(named))
+    assert interpreter.find_worker_python(str(preferred)) == named
+    monkeypatch.setenv("GSKIN_PYTHON", str(tmp_path / "gone"))
+    with pytest.raises(InputError, match=r"gone.*\$GSKIN_PYTHON"):
+        interpreter.find_worker_python()
+    monkeypatch.delenv("GSKIN_PYTHON")
+
+    # Blender's own Python: no torch there
+    monkeypatch.setattr(interpreter.importlib.util, "find_spec", lambda name: None)
+    for name in ("VIRTUAL_ENV", "CONDA_PREFIX"):
+        monkeypatch.delenv(name, raising=False)
+    empty, full = (
+        make_environment(tmp_path / "empty", torch=False),
+        make_environment(tmp_path / "full", torch=True),
+    )
+    monkeypatch.setenv("PATH", str(empty.parent))
+    assert interpreter.find_worker_python() is None
+    monkeypatch.setenv("CONDA_PREFIX", str(full.parents[1]))
+    assert interpreter.find_worker_python() == full
+
+
+def test_imports_with_numpy_alone():
+    """What Blender imports of the worker needs nothing but numpy."""
+    code = (
+        "import sys\n"
+        "for name in ('torch', 'numba', 'scipy', 'PIL'): sys.modules[name] = None\n"
+        "import gskin_addon.core.worker.client, gskin_addon.core.worker.contract\n"
+        "import gskin_addon.core.worker.interpreter\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)

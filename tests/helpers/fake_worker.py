@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A worker whose pipeline does what settings["act"] says; in all else it is core/worker/process.py."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from gskin_addon.core.worker import compute, supervisor
+
+
+def act(cloud: Any, skeleton: Any, settings: dict[str, Any], progress: Any, checkpoint: Path) -> Any:
+    what = settings.get("act", "finish")
+    (checkpoint / "pid").write_text(str(os.getpid()))
+    if what == "deaf":  # holds Python's lock for minutes, as a long compiled call does
+        import numba
+
+        @numba.njit
+        def spin(count: int) -> float:
+            total = 0.0
+            for i in range(count):
+                total += np.sin(total + i)
+            return total
+
+        spin(10)
+        progress("deaf", 0.1, {}, "")
+        spin(20_000_000_000)
+    if what == "talk":
+        for step in range(1_000_000):
+            progress("talk", step / 1_000_000, {"l1": 1.0 / (step + 1)}, f"step {step}")
+            time.sleep(0.01)
+    if what == "raise":
+        raise RuntimeError("the middle of the matter")
+    if what == "crash":
+        os.kill(os.getpid(), signal.SIGSEGV)
+    if what == "vanish":
+        os._exit(3)
+    if what == "resume":  # ten steps; each is kept, and only new ones are counted
+        kept = checkpoint / "step"
+        first = int(kept.read_text()) if kept.exists() else 0
+        for step in range(first, 10):
+            progress("step", step / 10, {}, str(step))
+            time.sleep(0.05)
+            kept.with_suffix(".tmp").write_text(str(step + 1))
+            os.replace(kept.with_suffix(".tmp"), kept)
+        settings = {"first": first}
+    print("chatter on stdout")
+    os.system("echo chatter of a child")
+    progress("steps", 0.5, {"l1": 0.25, "bad": float("nan")}, "half")
+    weights = np.zeros((cloud.count, skeleton.count), np.float32)
+    weights[:, 0] = 1.0
+    report = {"settings": settings, "loss": np.float32(0.5), "curve": np.array([1.0, np.inf])}
+    return SimpleNamespace(weights=weights, report=report, previews={"rest": np.full((4, 6, 3), 0.5)})
+
+
+def main() -> int:
+    if sys.argv[1] == "--compute":
+        return compute.main(sys.argv[2], act)
+    return supervisor.supervise([sys.executable, "-u", __file__, "--compute", sys.argv[1]])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
