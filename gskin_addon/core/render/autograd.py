@@ -29,11 +29,22 @@ class _Rasterize(torch.autograd.Function):
         grad_image, grad_alpha = (g.detach().cpu().numpy() for g in grads)
         grad_means, grad_quats = ctx.scene.backward(ctx.frame, grad_image, grad_alpha)
         means, quats = ctx.like
-        return torch.from_numpy(grad_means).to(means), torch.from_numpy(grad_quats).to(quats), None, None, None
+        return (
+            torch.from_numpy(grad_means).to(means),
+            torch.from_numpy(grad_quats).to(quats),
+            None,
+            None,
+            None,
+        )
 
 
-def rasterize_torch(scene: Scene, means: Tensor, quats: Tensor, camera: Camera,
-                    background: Tensor | ArrayLike = (1.0, 1.0, 1.0)) -> tuple[Tensor, Tensor]:
+def rasterize_torch(
+    scene: Scene,
+    means: Tensor,
+    quats: Tensor,
+    camera: Camera,
+    background: Tensor | ArrayLike = (1.0, 1.0, 1.0),
+) -> tuple[Tensor, Tensor]:
     """(image (H,W,3), alpha (H,W)) of a prepared scene, with gradients to means (N,3) and quats (N,4)."""
     back = background.detach().cpu().numpy() if isinstance(background, Tensor) else np.asarray(background)
     image, alpha = _Rasterize.apply(means, quats, scene, camera, back)  # type: ignore[no-untyped-call]

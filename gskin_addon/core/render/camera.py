@@ -46,8 +46,7 @@ class Camera:
     @property
     def center(self) -> NDArray[np.float64]:
         """Where the camera stands, (3,), world."""
-        center: NDArray[np.float64] = -self.rotation.T @ self.translation
-        return center
+        return np.asarray(-self.rotation.T @ self.translation)
 
     @property
     def forward(self) -> NDArray[np.float64]:

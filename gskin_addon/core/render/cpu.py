@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The CPU rasteriser: prepared scenes that run the numba kernels on a small thread pool.
 
-The kernels release the interpreter lock and share nothing, so plain Python threads carry them; numba's and torch's
-OpenMP pools, which fight each other for the cores, are not involved.
+The kernels release the interpreter lock and share nothing, so plain Python threads carry them; numba's and
+torch's OpenMP pools, which fight each other for the cores, are not involved.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -57,7 +58,7 @@ def _run(tasks: Sequence[Callable[[], None]]) -> None:
 
 def _ranges(count: int, parts: int) -> list[tuple[int, int]]:
     cuts = np.linspace(0, count, max(parts, 1) + 1).astype(int)
-    return [(int(a), int(b)) for a, b in zip(cuts[:-1], cuts[1:], strict=True) if b > a]
+    return [(int(a), int(b)) for a, b in pairwise(cuts) if b > a]
 
 
 def _tile_ranges(tile_start: NDArray[np.int64], parts: int) -> list[tuple[int, int]]:
@@ -68,10 +69,12 @@ def _tile_ranges(tile_start: NDArray[np.int64], parts: int) -> list[tuple[int, i
     work = tile_start + 8 * np.arange(tiles + 1)  # an empty tile costs its background
     cuts = np.searchsorted(work, np.linspace(0, work[-1], parts + 1))
     cuts[0], cuts[-1] = 0, tiles
-    return [(int(a), int(b)) for a, b in zip(cuts[:-1], cuts[1:], strict=True) if b > a]
+    return [(int(a), int(b)) for a, b in pairwise(cuts) if b > a]
 
 
-def camera_vector(camera: Camera, dilation: float = DILATION, compensate: float | None = None) -> NDArray[np.float64]:
+def camera_vector(
+    camera: Camera, dilation: float = DILATION, compensate: float | None = None
+) -> NDArray[np.float64]:
     """The camera and the filter as the kernels read them, (CAMERA,) float64."""
     c = np.zeros(CAMERA)
     c[0:9], c[9:12] = camera.rotation.ravel(), camera.translation
@@ -101,7 +104,7 @@ def morton_order(points: ArrayLike) -> NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class Frame:
-    """What one forward pass leaves for its backward pass; `image` (H,W,3) and `alpha` (H,W) are its result."""
+    """What a forward pass leaves for its backward pass; `image` (H,W,3) and `alpha` (H,W) are its result."""
 
     image: Array
     alpha: Array
@@ -127,46 +130,95 @@ class CpuScene:
     dilation: float = DILATION
     compensate: float | None = None
 
-    def forward(self, means: ArrayLike, quats: ArrayLike, camera: Camera, background: ArrayLike = (1.0, 1.0, 1.0), *,
-                colors: ArrayLike | None = None, threads: int | None = None) -> Frame:
-        """Render means (N,3) and quats (N,4) wxyz (normalised here); `colors` (N,3) replaces the scene's for once.
+    def forward(
+        self,
+        means: ArrayLike,
+        quats: ArrayLike,
+        camera: Camera,
+        background: ArrayLike = (1.0, 1.0, 1.0),
+        *,
+        colors: ArrayLike | None = None,
+        threads: int | None = None,
+    ) -> Frame:
+        """Render means (N,3) and quats (N,4) wxyz (normalised here); `colors` (N,3) replaces the scene's for
+        once.
 
         `threads=1` stays in the calling thread (for callers that give each thread an image of its own).
         """
         return self._forward(means, quats, camera, background, colors, threads)[0]
 
-    def backward(self, frame: Frame, grad_image: ArrayLike, grad_alpha: ArrayLike | None = None) -> tuple[Array, Array]:
+    def backward(
+        self, frame: Frame, grad_image: ArrayLike, grad_alpha: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
         """Gradients to means (N,3) and quats (N,4) from those to the image (H,W,3) and to alpha (H,W)."""
         gi = np.ascontiguousarray(grad_image, np.float32)
-        ga = np.zeros((0, 0), np.float32) if grad_alpha is None else np.ascontiguousarray(grad_alpha, np.float32)
+        ga = (
+            np.zeros((0, 0), np.float32)
+            if grad_alpha is None
+            else np.ascontiguousarray(grad_alpha, np.float32)
+        )
         f, threads = frame, frame.threads
         partial = np.empty((len(f.owner), 6), np.float32)
         parts = 1 if threads == 1 else 4 * threads
-        _run([lambda a=a, b=b: backward_tiles(  # type: ignore[misc]
-            a, b, f.record, f.colors, f.tile_start, f.keys, f.owner, f.image, f.alpha, gi, ga, partial)
-            for a, b in _tile_ranges(f.tile_start, parts)])
+        _run(
+            [
+                lambda a=a, b=b: backward_tiles(  # type: ignore[misc]
+                    a, b, f.record, f.colors, f.tile_start, f.keys, f.owner, f.image, f.alpha, gi, ga, partial
+                )
+                for a, b in _tile_ranges(f.tile_start, parts)
+            ]
+        )
         grad_means, grad_quats = np.empty_like(f.means), np.empty_like(f.quats)
-        _run([lambda a=a, b=b: project_backward(  # type: ignore[misc]
-            a, b, f.means, f.quats, self.scales, f.camera, f.record, f.first_slot, partial, grad_means, grad_quats)
-            for a, b in _ranges(len(f.means), threads)])
+        _run(
+            [
+                lambda a=a, b=b: project_backward(  # type: ignore[misc]
+                    a,
+                    b,
+                    f.means,
+                    f.quats,
+                    self.scales,
+                    f.camera,
+                    f.record,
+                    f.first_slot,
+                    partial,
+                    grad_means,
+                    grad_quats,
+                )
+                for a, b in _ranges(len(f.means), threads)
+            ]
+        )
         return grad_means, grad_quats
 
-    def render(self, means: ArrayLike, quats: ArrayLike, camera: Camera,
-               background: ArrayLike = (1.0, 1.0, 1.0)) -> tuple[Array, Array]:
+    def render(
+        self, means: ArrayLike, quats: ArrayLike, camera: Camera, background: ArrayLike = (1.0, 1.0, 1.0)
+    ) -> tuple[Array, Array]:
         """(image (H,W,3), alpha (H,W)); see forward."""
         frame = self.forward(means, quats, camera, background)
         return frame.image, frame.alpha
 
-    def render_and_grad(self, means: ArrayLike, quats: ArrayLike, camera: Camera, loss: ImageLoss,
-                        background: ArrayLike = (1.0, 1.0, 1.0), *, threads: int | None = None
-                        ) -> tuple[float, Array, Array]:
-        """Value of `loss(image, alpha) -> (value, grad_image)` and its gradients to means (N,3) and quats (N,4)."""
+    def render_and_grad(
+        self,
+        means: ArrayLike,
+        quats: ArrayLike,
+        camera: Camera,
+        loss: ImageLoss,
+        background: ArrayLike = (1.0, 1.0, 1.0),
+        *,
+        threads: int | None = None,
+    ) -> tuple[float, Array, Array]:
+        """Value of `loss(image, alpha) -> (value, grad_image)`, gradients to means (N,3) and quats (N,4)."""
         frame = self.forward(means, quats, camera, background, threads=threads)
         value, grad = loss(frame.image, frame.alpha)
         return (value, *self.backward(frame, grad))
 
-    def render_and_grad_many(self, means: Array, quats: Array, cameras: Sequence[Camera], losses: Sequence[ImageLoss],
-                             background: ArrayLike = (1.0, 1.0, 1.0)) -> tuple[NDArray[np.float64], Array, Array]:
+    def render_and_grad_many(
+        self,
+        means: Array,
+        quats: Array,
+        cameras: Sequence[Camera],
+        losses: Sequence[ImageLoss],
+        background: ArrayLike = (1.0, 1.0, 1.0),
+    ) -> tuple[NDArray[np.float64], Array, Array]:
         """render_and_grad for P images, one per thread: means (P,N,3), quats (P,N,4), P cameras and losses.
 
         Returns values (P,), grad_means (P,N,3) and grad_quats (P,N,4).
@@ -178,7 +230,8 @@ class CpuScene:
 
         def one(p: int) -> None:
             values[p], grad_means[p], grad_quats[p] = self.render_and_grad(
-                means[p], quats[p], cameras[p], losses[p], background, threads=1 if alone else None)
+                means[p], quats[p], cameras[p], losses[p], background, threads=1 if alone else None
+            )
 
         if alone:
             _run([lambda p=p: one(p) for p in range(count)])  # type: ignore[misc]
@@ -188,46 +241,82 @@ class CpuScene:
         return values, grad_means, grad_quats
 
     def contribution(self, means: ArrayLike, quats: ArrayLike, camera: Camera) -> Array:
-        """Largest blending weight T alpha of each splat over the pixels of the view, (N,); 0 for what is not seen."""
+        """Largest blending weight T alpha of each splat over the view's pixels, (N,); 0 if it is not seen."""
         frame, weight = self._forward(means, quats, camera, (0.0, 0.0, 0.0), None, None, weights=True)
         most = np.zeros(len(frame.means), np.float32)
         np.maximum.at(most, frame.owner, weight)
         return most
 
-    def _forward(self, means: ArrayLike, quats: ArrayLike, camera: Camera, background: ArrayLike,
-                 colors: ArrayLike | None, threads: int | None, weights: bool = False) -> tuple[Frame, Array]:
+    def _forward(
+        self,
+        means: ArrayLike,
+        quats: ArrayLike,
+        camera: Camera,
+        background: ArrayLike,
+        colors: ArrayLike | None,
+        threads: int | None,
+        weights: bool = False,
+    ) -> tuple[Frame, Array]:
         m, q = np.ascontiguousarray(means, np.float32), np.ascontiguousarray(quats, np.float32)
         c = self.colors if colors is None else np.ascontiguousarray(colors, np.float32)
         n = len(self.scales)
         if m.shape != (n, 3) or q.shape != (n, 4) or c.shape != (n, 3):
-            raise InputError(f"The scene has {n} splats, but means, quats and colors have the shapes "
-                             f"{m.shape}, {q.shape} and {c.shape}; give one row per splat.")
+            raise InputError(
+                f"The scene has {n} splats, but means, quats and colors have the shapes "
+                f"{m.shape}, {q.shape} and {c.shape}; give one row per splat."
+            )
         threads = thread_count() if threads is None else threads
         height, width = camera.size
         columns = (width + TILE - 1) // TILE
         vector = camera_vector(camera, self.dilation, self.compensate)
         record, depth = np.empty((n, RECORD)), np.zeros(n, np.float32)
         rect, tiles = np.empty((n, 4), np.int32), np.empty(n, np.int32)
-        _run([lambda a=a, b=b: project(  # type: ignore[misc]
-            a, b, m, q, self.scales, self.opacities, vector, width, height, record, depth, rect, tiles)
-            for a, b in _ranges(n, threads)] or [lambda: None])
+        _run(
+            [
+                lambda a=a, b=b: project(  # type: ignore[misc]
+                    a, b, m, q, self.scales, self.opacities, vector, width, height, record, depth, rect, tiles
+                )
+                for a, b in _ranges(n, threads)
+            ]
+            or [lambda: None]
+        )
         tile_start = np.empty(columns * ((height + TILE - 1) // TILE) + 1, np.int64)
         first_slot = np.empty(n + 1, np.int64)
         count_tiles(rect, tiles, columns, first_slot, tile_start)
         keys, owner = np.empty(int(first_slot[-1]), np.uint64), np.empty(int(first_slot[-1]), np.int32)
-        fill_tiles(rect, tiles, depth.view(np.uint32), columns, tile_start, np.empty_like(tile_start[:-1]), keys, owner)
+        fill_tiles(
+            rect,
+            tiles,
+            depth.view(np.uint32),
+            columns,
+            tile_start,
+            np.empty_like(tile_start[:-1]),
+            keys,
+            owner,
+        )
         image, alpha = np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32)
         weight = np.zeros(len(owner), np.float32) if weights else _NONE
         back = np.ascontiguousarray(background, np.float32)
-        _run([lambda a=a, b=b: forward_tiles(  # type: ignore[misc]
-            a, b, record, c, back, tile_start, keys, owner, image, alpha, weight)
-            for a, b in _tile_ranges(tile_start, 1 if threads == 1 else 4 * threads)])
+        _run(
+            [
+                lambda a=a, b=b: forward_tiles(  # type: ignore[misc]
+                    a, b, record, c, back, tile_start, keys, owner, image, alpha, weight
+                )
+                for a, b in _tile_ranges(tile_start, 1 if threads == 1 else 4 * threads)
+            ]
+        )
         frame = Frame(image, alpha, m, q, c, vector, record, first_slot, tile_start, keys, owner, threads)
         return frame, weight
 
 
-def prepare(scales: ArrayLike, colors: ArrayLike, opacities: ArrayLike, *, dilation: float = DILATION,
-            compensate: float | None = None) -> CpuScene:
+def prepare(
+    scales: ArrayLike,
+    colors: ArrayLike,
+    opacities: ArrayLike,
+    *,
+    dilation: float = DILATION,
+    compensate: float | None = None,
+) -> CpuScene:
     """A scene of scales (N,3) linear, colors (N,3) and opacities (N,) in 0..1, which carry no gradient.
 
     `dilation` is added to the image covariance (pixels^2). `compensate` = e multiplies each opacity by
@@ -237,6 +326,8 @@ def prepare(scales: ArrayLike, colors: ArrayLike, opacities: ArrayLike, *, dilat
     s, c = np.ascontiguousarray(scales, np.float32), np.ascontiguousarray(colors, np.float32)
     o = np.ascontiguousarray(opacities, np.float32).reshape(-1)
     if s.shape != (len(o), 3) or c.shape != (len(o), 3):
-        raise InputError(f"Scales {s.shape}, colors {c.shape} and opacities {o.shape} do not belong together; "
-                         "give (N,3), (N,3) and (N,).")
+        raise InputError(
+            f"Scales {s.shape}, colors {c.shape} and opacities {o.shape} do not belong together; "
+            "give (N,3), (N,3) and (N,)."
+        )
     return CpuScene(s, c, o, float(dilation), compensate)

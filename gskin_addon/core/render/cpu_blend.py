@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""numba kernels that blend sorted splats into the pixels of a tile, forward and backward, eight pixels at a time.
+"""numba kernels that blend sorted splats into the pixels of a tile, forward and backward, eight pixels at a
+time.
 
 Per pixel, front to back: alpha_i = min(0.99, o_i exp(...)), nothing below 1/255; weight w_i = T_i alpha_i,
-T_(i+1) = T_i (1 - alpha_i); blending stops before the splat that would take T below 1e-4. A stopped pixel keeps its T
-negated, which is the whole bookkeeping.
+T_(i+1) = T_i (1 - alpha_i); blending stops before the splat that would take T below 1e-4. A stopped pixel
+keeps its T negated, which is the whole bookkeeping.
 
 The backward pass runs in the same order. With s the sum of what lies behind, s_i = sum_(j>i) w_j (g . c_j) +
-T_end (g . background - g_alpha), dL/dalpha_i = T_i (g . c_i) - s_i / (1 - alpha_i); the first s is known from the
-image, so T and s are all that a pixel carries.
+T_end (g . background - g_alpha), dL/dalpha_i = T_i (g . c_i) - s_i / (1 - alpha_i); the first s is known from
+the image, so T and s are all that a pixel carries.
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ from numba import float32, njit
 
 from .cpu_project import MX, MY, RY, TILE, A, B, C, K
 from .vec8 import (
-    any_lane,
     both,
     broadcast,
     exp2,
@@ -65,18 +65,38 @@ def _alive(T: Any) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def forward_tiles(lo: int, hi: int, record: Any, colors: Any, background: Any, tile_start: Any, keys: Any, owner: Any,
-                  image: Any, alpha: Any, weight: Any) -> None:
+def forward_tiles(
+    lo: int,
+    hi: int,
+    record: Any,
+    colors: Any,
+    background: Any,
+    tile_start: Any,
+    keys: Any,
+    owner: Any,
+    image: Any,
+    alpha: Any,
+    weight: Any,
+) -> None:
     """Sort the keys of tiles lo..hi and blend them into image (H,W,3) and alpha (H,W).
 
     `weight` (pairs,), when not empty, takes each (splat, tile) pair's largest blending weight.
     """
     height, width = alpha.shape
     grid = (width + TILE - 1) // TILE
-    T, red, green, blue = (np.empty(TILE * TILE, np.float32), np.empty(TILE * TILE, np.float32),
-                           np.empty(TILE * TILE, np.float32), np.empty(TILE * TILE, np.float32))
-    zero, one, cut, top, least = (broadcast(float32(0.0)), broadcast(float32(1.0)), broadcast(LOG2_CUT),
-                                  broadcast(ALPHA_MAX), broadcast(T_MIN))
+    T, red, green, blue = (
+        np.empty(TILE * TILE, np.float32),
+        np.empty(TILE * TILE, np.float32),
+        np.empty(TILE * TILE, np.float32),
+        np.empty(TILE * TILE, np.float32),
+    )
+    zero, one, cut, top, least = (
+        broadcast(float32(0.0)),
+        broadcast(float32(1.0)),
+        broadcast(LOG2_CUT),
+        broadcast(ALPHA_MAX),
+        broadcast(T_MIN),
+    )
     for tile in range(lo, hi):
         x0, y0 = tile % grid * TILE, tile // grid * TILE
         columns, rows = min(TILE, width - x0), min(TILE, height - y0)
@@ -138,19 +158,40 @@ def forward_tiles(lo: int, hi: int, record: Any, colors: Any, background: Any, t
 
 
 @njit(cache=True, nogil=True)
-def backward_tiles(lo: int, hi: int, record: Any, colors: Any, tile_start: Any, keys: Any, owner: Any, image: Any,
-                   alpha: Any, grad_image: Any, grad_alpha: Any, partial: Any) -> None:
-    """Fill `partial` (pairs,6) of tiles lo..hi (see project_backward) after forward_tiles has sorted the keys.
+def backward_tiles(
+    lo: int,
+    hi: int,
+    record: Any,
+    colors: Any,
+    tile_start: Any,
+    keys: Any,
+    owner: Any,
+    image: Any,
+    alpha: Any,
+    grad_image: Any,
+    grad_alpha: Any,
+    partial: Any,
+) -> None:
+    """Fill `partial` (pairs,6) of tiles lo..hi (see project_backward) after forward_tiles has sorted the
+    keys.
 
     grad_image (H,W,3) and grad_alpha (H,W; empty for none) are the gradients of the loss to the images.
     """
     height, width = alpha.shape
     grid = (width + TILE - 1) // TILE
     T, S = np.empty(TILE * TILE, np.float32), np.zeros(TILE * TILE, np.float32)
-    red, green, blue = (np.zeros(TILE * TILE, np.float32), np.zeros(TILE * TILE, np.float32),
-                        np.zeros(TILE * TILE, np.float32))
-    zero, one, cut, top, least = (broadcast(float32(0.0)), broadcast(float32(1.0)), broadcast(LOG2_CUT),
-                                  broadcast(ALPHA_MAX), broadcast(T_MIN))
+    red, green, blue = (
+        np.zeros(TILE * TILE, np.float32),
+        np.zeros(TILE * TILE, np.float32),
+        np.zeros(TILE * TILE, np.float32),
+    )
+    zero, one, cut, top, least = (
+        broadcast(float32(0.0)),
+        broadcast(float32(1.0)),
+        broadcast(LOG2_CUT),
+        broadcast(ALPHA_MAX),
+        broadcast(T_MIN),
+    )
     for tile in range(lo, hi):
         x0, y0 = tile % grid * TILE, tile // grid * TILE
         columns, rows = min(TILE, width - x0), min(TILE, height - y0)
@@ -164,8 +205,11 @@ def backward_tiles(lo: int, hi: int, record: Any, colors: Any, tile_start: Any, 
                 red[at] = grad_image[y0 + y, x0 + x, 0]
                 green[at] = grad_image[y0 + y, x0 + x, 1]
                 blue[at] = grad_image[y0 + y, x0 + x, 2]
-                S[at] = (red[at] * image[y0 + y, x0 + x, 0] + green[at] * image[y0 + y, x0 + x, 1]
-                         + blue[at] * image[y0 + y, x0 + x, 2])
+                S[at] = (
+                    red[at] * image[y0 + y, x0 + x, 0]
+                    + green[at] * image[y0 + y, x0 + x, 1]
+                    + blue[at] * image[y0 + y, x0 + x, 2]
+                )
                 if grad_alpha.size > 0:
                     S[at] -= grad_alpha[y0 + y, x0 + x] * (float32(1.0) - alpha[y0 + y, x0 + x])
         dead = False
@@ -194,7 +238,11 @@ def backward_tiles(lo: int, hi: int, record: Any, colors: Any, tile_start: Any, 
                     continue
                 xa = max(int(middle - reach), 0) & ~7
                 xb = min(int(middle + reach) + 1, columns)
-                vb, vk, vy = broadcast(float32(-b * dy)), broadcast(float32(k - c * dy * dy)), broadcast(float32(dy))
+                vb, vk, vy = (
+                    broadcast(float32(-b * dy)),
+                    broadcast(float32(k - c * dy * dy)),
+                    broadcast(float32(dy)),
+                )
                 dx = lane_index() + broadcast(float32(xa - mx))
                 for x in range(xa, xb, 8):
                     at = y * TILE + x

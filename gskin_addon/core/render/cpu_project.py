@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """numba kernels that take splats to the image plane, fill the tiles, and take gradients back to 3D.
 
-EWA splatting as in 3D Gaussian Splatting (Kerbl et al. 2023, Sec. 4 and the published CUDA code): with V = R diag(s),
-W the camera's rotation and J the Jacobian of the projection at the mean, the image covariance is
-(J W V)(J W V)^T + dilation. Every kernel works on a range [lo, hi) of splats, so that threads share them freely.
+EWA splatting as in 3D Gaussian Splatting (Kerbl et al. 2023, Sec. 4 and the published CUDA code): with
+V = R diag(s), W the camera's rotation and J the Jacobian of the projection at the mean, the image covariance
+is (J W V)(J W V)^T + dilation. The kernels over splats take a range [lo, hi), so that threads share the work.
 """
 
 from __future__ import annotations
@@ -19,43 +19,64 @@ TILE = 32
 ALPHA_CUT = 1.0 / 255.0
 LOG2E = 1.4426950408889634
 
-# Columns of the per-splat record: log2(alpha) = K - A dx^2 - B dx dy - C dy^2 around the mean (MX, MY) in pixels,
-# at pixels with |dy| <= RY.
+# Columns of the per-splat record: log2(alpha) = K - A dx^2 - B dx dy - C dy^2 around the mean (MX, MY), in
+# pixels, for pixels with |dy| <= RY.
 MX, MY, A, B, C, K, RY, RECORD = 0, 1, 2, 3, 4, 5, 6, 7
 
-# Layout of the camera vector that the kernels read.
 CAMERA = 24
+"""Length of the vector that the kernels read: rotation 0-8, translation 9-11, fx fy near 12-14, slope
+bounds x/z 16-17 and y/z 18-19, dilation 20, compensation 21 (negative for none), cx cy 22-23."""
 
 
 @njit(cache=True, nogil=True, inline="never")
 def _project_one(p: Any, q: Any, s: Any, cam: Any) -> Any:
-    """Camera point, unit quaternion and its norm, rotation matrix, T = J W and U = J W R diag(s), both (2,3)."""
+    """Camera point, unit quaternion, 1 / its norm, clamped slopes, R, T = J W and U = J W R diag(s)."""
     x = cam[0] * p[0] + cam[1] * p[1] + cam[2] * p[2] + cam[9]
     y = cam[3] * p[0] + cam[4] * p[1] + cam[5] * p[2] + cam[10]
     z = cam[6] * p[0] + cam[7] * p[1] + cam[8] * p[2] + cam[11]
-    norm = np.sqrt(np.float64(q[0]) * q[0] + np.float64(q[1]) * q[1] + np.float64(q[2]) * q[2]
-                   + np.float64(q[3]) * q[3])
+    norm = np.sqrt(
+        np.float64(q[0]) * q[0] + np.float64(q[1]) * q[1] + np.float64(q[2]) * q[2] + np.float64(q[3]) * q[3]
+    )
     inverse = 1.0 / norm if norm > 0.0 else 0.0
     w, a, b, c = q[0] * inverse, q[1] * inverse, q[2] * inverse, q[3] * inverse
-    R = (1 - 2 * (b * b + c * c), 2 * (a * b - w * c), 2 * (a * c + w * b),
-         2 * (a * b + w * c), 1 - 2 * (a * a + c * c), 2 * (b * c - w * a),
-         2 * (a * c - w * b), 2 * (b * c + w * a), 1 - 2 * (a * a + b * b))
+    R = (
+        1 - 2 * (b * b + c * c),
+        2 * (a * b - w * c),
+        2 * (a * c + w * b),
+        2 * (a * b + w * c),
+        1 - 2 * (a * a + c * c),
+        2 * (b * c - w * a),
+        2 * (a * c - w * b),
+        2 * (b * c + w * a),
+        1 - 2 * (a * a + b * b),
+    )
     iz = 1.0 / z if z != 0.0 else 0.0
     # The slope is clamped in J only, so that splats beside the image do not blow up (as INRIA and gsplat do).
     u = min(max(x * iz, cam[16]), cam[17])
     v = min(max(y * iz, cam[18]), cam[19])
     j00, j02, j11, j12 = cam[12] * iz, -cam[12] * u * iz, cam[13] * iz, -cam[13] * v * iz
-    T = (j00 * cam[0] + j02 * cam[6], j00 * cam[1] + j02 * cam[7], j00 * cam[2] + j02 * cam[8],
-         j11 * cam[3] + j12 * cam[6], j11 * cam[4] + j12 * cam[7], j11 * cam[5] + j12 * cam[8])
-    U = ((T[0] * R[0] + T[1] * R[3] + T[2] * R[6]) * s[0], (T[0] * R[1] + T[1] * R[4] + T[2] * R[7]) * s[1],
-         (T[0] * R[2] + T[1] * R[5] + T[2] * R[8]) * s[2], (T[3] * R[0] + T[4] * R[3] + T[5] * R[6]) * s[0],
-         (T[3] * R[1] + T[4] * R[4] + T[5] * R[7]) * s[1], (T[3] * R[2] + T[4] * R[5] + T[5] * R[8]) * s[2])
+    T = (
+        j00 * cam[0] + j02 * cam[6],
+        j00 * cam[1] + j02 * cam[7],
+        j00 * cam[2] + j02 * cam[8],
+        j11 * cam[3] + j12 * cam[6],
+        j11 * cam[4] + j12 * cam[7],
+        j11 * cam[5] + j12 * cam[8],
+    )
+    U = (
+        (T[0] * R[0] + T[1] * R[3] + T[2] * R[6]) * s[0],
+        (T[0] * R[1] + T[1] * R[4] + T[2] * R[7]) * s[1],
+        (T[0] * R[2] + T[1] * R[5] + T[2] * R[8]) * s[2],
+        (T[3] * R[0] + T[4] * R[3] + T[5] * R[6]) * s[0],
+        (T[3] * R[1] + T[4] * R[4] + T[5] * R[7]) * s[1],
+        (T[3] * R[2] + T[4] * R[5] + T[5] * R[8]) * s[2],
+    )
     return (x, y, z), (w, a, b, c), inverse, (u, v), R, T, U
 
 
 @njit(cache=True, nogil=True, inline="never")
 def _covariance(U: Any, dilation: float) -> Any:
-    """(xx, xy, yy, determinant) of U U^T + dilation; the determinant as a sum of squares, without cancellation."""
+    """(xx, xy, yy, determinant) of U U^T + dilation; the determinant as a sum without cancellation."""
     xx = U[0] * U[0] + U[1] * U[1] + U[2] * U[2]
     xy = U[0] * U[3] + U[1] * U[4] + U[2] * U[5]
     yy = U[3] * U[3] + U[4] * U[4] + U[5] * U[5]
@@ -65,10 +86,24 @@ def _covariance(U: Any, dilation: float) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def project(lo: int, hi: int, means: Any, quats: Any, scales: Any, opacities: Any, cam: Any, width: int, height: int,
-            record: Any, depth: Any, rect: Any, tiles: Any) -> None:
-    """Fill record (N,RECORD), depth (N,), rect (N,4) = tile columns and rows [x0, x1) x [y0, y1), and the number of
-    tiles (N,) of splats lo..hi; a splat that shows nowhere gets 0 tiles. The extent is exact: alpha >= 1/255."""
+def project(
+    lo: int,
+    hi: int,
+    means: Any,
+    quats: Any,
+    scales: Any,
+    opacities: Any,
+    cam: Any,
+    width: int,
+    height: int,
+    record: Any,
+    depth: Any,
+    rect: Any,
+    tiles: Any,
+) -> None:
+    """Fill record (N,RECORD), depth (N,), rect (N,4) = tile columns and rows [x0, x1) x [y0, y1), and the
+    number of tiles (N,) of splats lo..hi; a splat that shows nowhere gets 0 tiles. The extent is exact: alpha
+    >= 1/255."""
     dilation, compensate = cam[20], cam[21]
     for i in range(lo, hi):
         tiles[i] = 0
@@ -109,7 +144,7 @@ def project(lo: int, hi: int, means: Any, quats: Any, scales: Any, opacities: An
 
 @njit(cache=True, nogil=True)
 def count_tiles(rect: Any, tiles: Any, columns: int, first_slot: Any, tile_start: Any) -> None:
-    """first_slot (N+1,): where each splat's (splat, tile) pairs start; tile_start (tiles+1,): the same per tile."""
+    """first_slot (N+1,): where each splat's (splat, tile) pairs start; tile_start (tiles+1,): per tile."""
     tile_start[:] = 0
     first_slot[0] = 0
     for i in range(tiles.shape[0]):
@@ -123,9 +158,11 @@ def count_tiles(rect: Any, tiles: Any, columns: int, first_slot: Any, tile_start
 
 
 @njit(cache=True, nogil=True)
-def fill_tiles(rect: Any, tiles: Any, depth_bits: Any, columns: int, tile_start: Any, cursor: Any, keys: Any,
-               owner: Any) -> None:
-    """keys (pairs,) uint64 per tile = depth bits << 32 | slot, in splat order; owner (pairs,): splat of each slot.
+def fill_tiles(
+    rect: Any, tiles: Any, depth_bits: Any, columns: int, tile_start: Any, cursor: Any, keys: Any, owner: Any
+) -> None:
+    """keys (pairs,) uint64 per tile = depth bits << 32 | slot, in splat order; owner (pairs,): splat of each
+    slot.
 
     The bits of a positive float sort like the float, and the slot breaks ties by splat index.
     """
@@ -144,12 +181,23 @@ def fill_tiles(rect: Any, tiles: Any, depth_bits: Any, columns: int, tile_start:
 
 
 @njit(cache=True, nogil=True)
-def project_backward(lo: int, hi: int, means: Any, quats: Any, scales: Any, cam: Any, record: Any, first_slot: Any,
-                     partial: Any, grad_means: Any, grad_quats: Any) -> None:
+def project_backward(
+    lo: int,
+    hi: int,
+    means: Any,
+    quats: Any,
+    scales: Any,
+    cam: Any,
+    record: Any,
+    first_slot: Any,
+    partial: Any,
+    grad_means: Any,
+    grad_quats: Any,
+) -> None:
     """Gradients to means (N,3) and quats (N,4) of splats lo..hi from the tiles' sums `partial` (pairs,6).
 
-    The columns of `partial` are sums over pixels of v, v dx, v dy, v dx^2, v dx dy, v dy^2 with v = alpha dL/dalpha and
-    (dx, dy) the pixel minus the mean.
+    The columns of `partial` are sums over pixels of v, v dx, v dy, v dx^2, v dx dy, v dy^2 with v = alpha
+    dL/dalpha and (dx, dy) the pixel minus the mean.
     """
     dilation, compensate = cam[20], cam[21]
     for i in range(lo, hi):
@@ -184,20 +232,35 @@ def project_backward(lo: int, hi: int, means: Any, quats: Any, scales: Any, cam:
         t = np.empty((2, 3))  # dL/dT = dL/dU V^T
         for k in range(3):
             for r in range(2):
-                t[r, k] = (d[r, 0] * R[3 * k] * scales[i, 0] + d[r, 1] * R[3 * k + 1] * scales[i, 1]
-                           + d[r, 2] * R[3 * k + 2] * scales[i, 2])
+                t[r, k] = (
+                    d[r, 0] * R[3 * k] * scales[i, 0]
+                    + d[r, 1] * R[3 * k + 1] * scales[i, 1]
+                    + d[r, 2] * R[3 * k + 2] * scales[i, 2]
+                )
         G = np.empty((3, 3))  # dL/dR = T^T dL/dU diag(s)
         for r in range(3):
             for k in range(3):
                 G[r, k] = (T[r] * d[0, k] + T[r + 3] * d[1, k]) * scales[i, k]
         w, x, y, z = q
         gw = 2 * (z * (G[1, 0] - G[0, 1]) + y * (G[0, 2] - G[2, 0]) + x * (G[2, 1] - G[1, 2]))
-        ga = 2 * (y * (G[0, 1] + G[1, 0]) + z * (G[0, 2] + G[2, 0]) + w * (G[2, 1] - G[1, 2])
-                  - 2 * x * (G[1, 1] + G[2, 2]))
-        gb = 2 * (x * (G[0, 1] + G[1, 0]) + z * (G[1, 2] + G[2, 1]) + w * (G[0, 2] - G[2, 0])
-                  - 2 * y * (G[0, 0] + G[2, 2]))
-        gc = 2 * (x * (G[0, 2] + G[2, 0]) + y * (G[1, 2] + G[2, 1]) + w * (G[1, 0] - G[0, 1])
-                  - 2 * z * (G[0, 0] + G[1, 1]))
+        ga = 2 * (
+            y * (G[0, 1] + G[1, 0])
+            + z * (G[0, 2] + G[2, 0])
+            + w * (G[2, 1] - G[1, 2])
+            - 2 * x * (G[1, 1] + G[2, 2])
+        )
+        gb = 2 * (
+            x * (G[0, 1] + G[1, 0])
+            + z * (G[1, 2] + G[2, 1])
+            + w * (G[0, 2] - G[2, 0])
+            - 2 * y * (G[0, 0] + G[2, 2])
+        )
+        gc = 2 * (
+            x * (G[0, 2] + G[2, 0])
+            + y * (G[1, 2] + G[2, 1])
+            + w * (G[1, 0] - G[0, 1])
+            - 2 * z * (G[0, 0] + G[1, 1])
+        )
         along = gw * w + ga * x + gb * y + gc * z  # the kernel normalises the quaternion
         grad_quats[i, 0] = (gw - along * w) * inverse
         grad_quats[i, 1] = (ga - along * x) * inverse
@@ -212,8 +275,11 @@ def project_backward(lo: int, hi: int, means: Any, quats: Any, scales: Any, cam:
         iz = 1.0 / point[2]
         fx, fy = cam[12] * iz, cam[13] * iz
         dx, dy = fx * gx, fy * gy
-        dz = (-iz * (dx * point[0] + dy * point[1]) - iz * (fx * j00 + fy * j11)
-              + iz * (fx * uv[0] * j02 + fy * uv[1] * j12))
+        dz = (
+            -iz * (dx * point[0] + dy * point[1])
+            - iz * (fx * j00 + fy * j11)
+            + iz * (fx * uv[0] * j02 + fy * uv[1] * j12)
+        )
         if point[0] * iz == uv[0]:  # not clamped
             dx -= fx * iz * j02
             dz += fx * iz * uv[0] * j02

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The one way to render splats: backends by name, a torch function with gradients, and pictures of whole clouds."""
+"""The one way to render splats: backends by name, a torch function with gradients, pictures of clouds."""
 
 from __future__ import annotations
 
@@ -22,13 +22,22 @@ Array = NDArray[np.float32]
 
 
 class Scene(Protocol):
-    """What a backend prepares from the constant parts of the splats; see cpu.CpuScene for each method's contract."""
+    """What a backend prepares from the constant parts of splats; cpu.CpuScene has the methods' contracts."""
 
-    def forward(self, means: ArrayLike, quats: ArrayLike, camera: Camera, background: ArrayLike = ..., *,
-                colors: ArrayLike | None = None) -> Any:
+    def forward(
+        self,
+        means: ArrayLike,
+        quats: ArrayLike,
+        camera: Camera,
+        background: ArrayLike = ...,
+        *,
+        colors: ArrayLike | None = None,
+    ) -> Any:
         """A frame with `.image` (H,W,3) and `.alpha` (H,W), to be given to `backward`."""
 
-    def backward(self, frame: Any, grad_image: ArrayLike, grad_alpha: ArrayLike | None = None) -> tuple[Array, Array]:
+    def backward(
+        self, frame: Any, grad_image: ArrayLike, grad_alpha: ArrayLike | None = None
+    ) -> tuple[Array, Array]:
         """Gradients to means (N,3) and quats (N,4)."""
 
     def contribution(self, means: ArrayLike, quats: ArrayLike, camera: Camera) -> Array:
@@ -40,7 +49,7 @@ BACKENDS: dict[str, Callable[..., Scene]] = {"cpu": prepare_cpu}
 
 
 def resolve_backend(name: str = "auto") -> str:
-    """The backend that `name` stands for; "auto" takes the last that was registered. InputError if unknown."""
+    """The backend that `name` stands for; "auto" is the last one registered. InputError if unknown."""
     if name == "auto":
         return list(BACKENDS)[-1]
     if name not in BACKENDS:
@@ -48,18 +57,35 @@ def resolve_backend(name: str = "auto") -> str:
     return name
 
 
-def prepare(scales: ArrayLike, colors: ArrayLike, opacities: ArrayLike, *, backend: str = "auto",
-            dilation: float = 0.3, compensate: float | None = None) -> Scene:
-    """A scene for many renders of moving splats: scales (N,3), colors (N,3), opacities (N,); see cpu.prepare."""
-    return BACKENDS[resolve_backend(backend)](scales, colors, opacities, dilation=dilation, compensate=compensate)
+def prepare(
+    scales: ArrayLike,
+    colors: ArrayLike,
+    opacities: ArrayLike,
+    *,
+    backend: str = "auto",
+    dilation: float = 0.3,
+    compensate: float | None = None,
+) -> Scene:
+    """A scene for many renders of moving splats: scales and colors (N,3), opacities (N,); see cpu.prepare."""
+    return BACKENDS[resolve_backend(backend)](
+        scales, colors, opacities, dilation=dilation, compensate=compensate
+    )
 
 
-def rasterize(means: Tensor, quats: Tensor, scales: Tensor, colors: Tensor, opacities: Tensor, camera: Camera,
-              background: Tensor | ArrayLike = (1.0, 1.0, 1.0), backend: str = "auto") -> tuple[Tensor, Tensor]:
+def rasterize(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    colors: Tensor,
+    opacities: Tensor,
+    camera: Camera,
+    background: Tensor | ArrayLike = (1.0, 1.0, 1.0),
+    backend: str = "auto",
+) -> tuple[Tensor, Tensor]:
     """torch: (image (H,W,3), alpha (H,W)) of splats; gradients reach means (N,3) and quats (N,4) only.
 
-    scales (N,3) linear, colors (N,3) sRGB, opacities (N,) in 0..1, background (3,). See reference.render for the
-    meaning; float32 inside.
+    scales (N,3) linear, colors (N,3) sRGB, opacities (N,) in 0..1, background (3,). See reference.render for
+    the meaning; float32 inside.
     """
     from .autograd import rasterize_torch
 
@@ -68,14 +94,15 @@ def rasterize(means: Tensor, quats: Tensor, scales: Tensor, colors: Tensor, opac
 
 
 def view_colors(cloud: SplatCloud, camera: Camera) -> Array:
-    """Colours (N,3) of the splats as seen from the camera: SH along the direction from the camera to each mean."""
+    """Colours (N,3) of the splats as the camera sees them: SH along the direction from it to each mean."""
     rays = cloud.means - camera.center.astype(np.float32)
     rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
     return np.ascontiguousarray(eval_sh(cloud.sh, rays), np.float32)
 
 
-def render_cloud(cloud: SplatCloud, camera: Camera, background: ArrayLike = (1.0, 1.0, 1.0),
-                 backend: str = "auto") -> tuple[Array, Array]:
+def render_cloud(
+    cloud: SplatCloud, camera: Camera, background: ArrayLike = (1.0, 1.0, 1.0), backend: str = "auto"
+) -> tuple[Array, Array]:
     """Picture of a cloud: image (H,W,3) in 0..1 sRGB over `background` (3,), and alpha (H,W), float32."""
     scene = prepare(cloud.scales, view_colors(cloud, camera), cloud.opacities, backend=backend)
     frame = scene.forward(cloud.means, cloud.quats, camera, background)

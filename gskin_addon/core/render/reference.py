@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The rasteriser's meaning in float64 torch, splat by splat over whole images; slow, differentiable by autograd."""
+"""The rasteriser's meaning in float64 torch: slow, splat by splat over whole images, for autograd."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def quat_to_matrix(quats: Tensor) -> Tensor:
 
 
 def project(means: Tensor, quats: Tensor, scales: Tensor, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
-    """Pixels (N,2), depths (N,) and undilated image covariances (N,2,2) (EWA; Zwicker et al. 2001, Kerbl et al. 2023)."""
+    """Pixels (N,2), depths (N,), undilated image covariances (N,2,2) by EWA (Zwicker et al. 2001)."""
     W = torch.as_tensor(camera.rotation, dtype=means.dtype)
     p = means @ W.T + torch.as_tensor(camera.translation, dtype=means.dtype)
     x, y, z = p.unbind(-1)
@@ -34,15 +34,27 @@ def project(means: Tensor, quats: Tensor, scales: Tensor, camera: Camera) -> tup
     return pixels, z, U @ U.transpose(1, 2)
 
 
-def render(means: Tensor, quats: Tensor, scales: Tensor, colors: Tensor, opacities: Tensor, camera: Camera,
-           background: Tensor, *, dilation: float = 0.3, compensate: float | None = None) -> tuple[Tensor, Tensor]:
-    """(image (H,W,3), alpha (H,W)) of means (N,3), quats (N,4) wxyz, scales (N,3), colors (N,3), opacities (N,).
+def render(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    colors: Tensor,
+    opacities: Tensor,
+    camera: Camera,
+    background: Tensor,
+    *,
+    dilation: float = 0.3,
+    compensate: float | None = None,
+) -> tuple[Tensor, Tensor]:
+    """(image (H,W,3), alpha (H,W)) of means (N,3), quats (N,4) wxyz, scales (N,3), colors (N,3), opacities
+    (N,).
 
-    Everything is taken to float64. Splats at depth <= camera.near are not drawn; alpha is at most 0.99 and cut below
-    1/255; a pixel ends before the splat that would take its transmittance to 1e-4 or less.
+    Everything is taken to float64. Splats at depth <= camera.near are not drawn; alpha is at most 0.99 and
+    cut below 1/255; a pixel ends before the splat that would take its transmittance to 1e-4 or less.
     """
     means, quats, scales, colors, opacities, background = (
-        t.to(torch.float64) for t in (means, quats, scales, colors, opacities, background))
+        t.to(torch.float64) for t in (means, quats, scales, colors, opacities, background)
+    )
     rows = torch.arange(camera.height, dtype=torch.float64)[:, None] + 0.5
     columns = torch.arange(camera.width, dtype=torch.float64)[None, :] + 0.5
     pixels, depth, cov = project(means, quats, scales, camera)

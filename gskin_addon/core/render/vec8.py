@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Eight float32 lanes as one value inside numba kernels (LLVM `<8 x float>`; AVX, or two NEON registers).
 
-numba's loop vectoriser gives up on the masks and the early exit of splat blending, and has no vector exp without
-Intel's SVML. With these few operations a kernel says itself what runs in lanes: `+ - *` between two Float8,
-`fma`, `select`, comparisons that give a Mask8, loads and stores on contiguous float32 arrays, and `exp2`.
+numba's loop vectoriser gives up on the masks and the early exit of splat blending, and has no vector exp
+without Intel's SVML. With these few operations a kernel says itself what runs in lanes: `+ - *` between two
+Float8, `fma`, `select`, comparisons that give a Mask8, loads and stores on contiguous float32 arrays, and
+`exp2`.
 
 numba's on-disk cache does not look into this file: after a change here, touch the kernels' files as well.
 """
@@ -14,9 +15,17 @@ import operator
 from typing import Any
 
 from llvmlite import ir
+from numba import extending
 from numba.core import cgutils, types
-from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
-from numba.extending import intrinsic, lower_builtin, models, register_model
+from numba.core.typing import templates
+from numba.extending import models
+
+# numba's decorators carry no types.
+intrinsic: Any = extending.intrinsic
+lower_builtin: Any = extending.lower_builtin
+register_model: Any = extending.register_model
+_templates: Any = templates
+_insert_function: Any = cgutils.get_or_insert_function
 
 LANES = 8
 
@@ -34,18 +43,18 @@ class Float8(types.Type):
     """numba type of eight float32 lanes."""
 
     def __init__(self) -> None:
-        super().__init__(name="Float8")
+        super().__init__(name="Float8")  # type: ignore[no-untyped-call]
 
 
 class Mask8(types.Type):
     """numba type of eight booleans."""
 
     def __init__(self) -> None:
-        super().__init__(name="Mask8")
+        super().__init__(name="Mask8")  # type: ignore[no-untyped-call]
 
 
-float8 = Float8()
-mask8 = Mask8()
+float8: Any = Float8()
+mask8: Any = Mask8()
 
 
 @register_model(Float8)
@@ -71,20 +80,25 @@ def _broadcast(builder: Any, scalar: Any) -> Any:
 
 def _call(builder: Any, name: str, result: Any, *args: Any) -> Any:
     function_type = ir.FunctionType(result, [a.type for a in args])
-    return builder.call(cgutils.get_or_insert_function(builder.module, function_type, name), args)
+    return builder.call(_insert_function(builder.module, function_type, name), args)
 
 
 def _register(op: Any, emit: str) -> None:
-    @infer_global(op)
-    class _Binary(ConcreteTemplate):
-        cases = [signature(float8, float8, float8)]
+    @_templates.infer_global(op)
+    class _Binary(_templates.ConcreteTemplate):
+        cases = [_templates.signature(float8, float8, float8)]
 
     @lower_builtin(op, float8, float8)
     def _lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return getattr(builder, emit)(*args, flags=("contract",))
 
 
-for _op, _emit in ((operator.add, "fadd"), (operator.sub, "fsub"), (operator.mul, "fmul"), (operator.truediv, "fdiv")):
+for _op, _emit in (
+    (operator.add, "fadd"),
+    (operator.sub, "fsub"),
+    (operator.mul, "fmul"),
+    (operator.truediv, "fdiv"),
+):
     _register(_op, _emit)
 
 

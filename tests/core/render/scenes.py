@@ -7,7 +7,15 @@ import numpy as np
 
 from gskin_addon.core.render.camera import Camera, look_at
 
-SCENES = ("plain", "anisotropic", "partly_off_screen", "behind_camera", "near_opaque", "one_tile", "off_center")
+SCENES = (
+    "plain",
+    "anisotropic",
+    "partly_off_screen",
+    "behind_camera",
+    "near_opaque",
+    "one_tile",
+    "off_center",
+)
 
 
 def make_scene(name: str) -> tuple[list[np.ndarray], Camera]:
