@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Elastic posing: an as-rigid-as-possible deformation of the splats' neighbour graph, bones as handles.
+
+Needs no weights and no training: it knows only that neighbouring splats should stay neighbours and that
+a splat near a bone should follow it. After Sorkine & Alexa 2007; the strength of the handles is that of
+bone heat (Baran & Popovic 2007).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from ..rig.lbs import skin_points
+from ..rig.quaternion import matrix_to_quat, normalize, quat_multiply
+from ..rig.rotations import closest_rotation
+from ..splats.cloud import SplatCloud
+from .graph import NodeGraph, build_graph
+
+HANDLE_STRENGTH = 3.0
+ITERATIONS = 3
+TIES = 1.0001
+CLOSEST = 1e-3
+
+
+class ElasticBody:
+    """The splats as an elastic body that hangs on its bones.
+
+    Minimises over the nodes' positions x'
+        sum_edges |(x'_i - x'_j) - R_i (x_i - x_j)|^2 + sum_i h_i |x'_i - P_b(i) x_i|^2,
+    with h_i = HANDLE_STRENGTH m_i / d_i^2: d_i is the distance to the nearest bone b(i), m_i a quarter of
+    the summed squared edges, which makes the balance independent of how densely the nodes lie. The handles
+    close to their bone are thereby firm, the doubtful ones far from all bones are carried by their
+    neighbours.
+    """
+
+    def __init__(
+        self, cloud: SplatCloud, distances: NDArray[np.floating], *, nodes: int = 3000
+    ) -> None:
+        """cloud: N splats; distances (N, B): from each splat to each bone, through the body, metres."""
+        from scipy import sparse
+        from scipy.sparse.linalg import splu
+
+        self.cloud = cloud
+        self.graph: NodeGraph = build_graph(cloud.means, nodes)
+        self._rest = cloud.means[self.graph.nodes].astype(np.float64)
+        a, b = self.graph.edges.T
+        count = len(self._rest)
+        square = np.square(self._rest[a] - self._rest[b]).sum(1)
+        square = np.minimum(square, 4 * np.median(square))  # bridges across gaps are no measure of density
+        mass = (np.bincount(a, square, count) + np.bincount(b, square, count)) / 4
+        near = np.maximum(np.asarray(distances[self.graph.nodes], np.float64), CLOSEST * _diagonal(cloud))
+        nearest = near.min(axis=1, keepdims=True)
+        self._bone = near <= nearest * TIES
+        self._bone = self._bone / self._bone.sum(axis=1, keepdims=True)
+        self._strength = HANDLE_STRENGTH * mass / nearest[:, 0] ** 2
+        adjacency = sparse.coo_matrix((np.ones(len(a)), (a, b)), shape=(count, count))
+        self._adjacency = (adjacency + adjacency.T).tocsr()
+        degree = np.asarray(self._adjacency.sum(axis=1)).ravel()
+        self._solver = splu((sparse.diags(degree + self._strength) - self._adjacency).tocsc())
+        # Heat equilibrium: the weights that the handles spread over the graph; the first guess of a pose.
+        self._heat = self._solver.solve(self._strength[:, None] * self._bone)
+
+    def weights(self) -> NDArray[np.float32]:
+        """The heat-equilibrium weights (N, B) of the splats, rows sum to 1."""
+        spread = np.einsum("nk,nkb->nb", self.graph.anchor_weight, self._heat[self.graph.anchor])
+        spread = np.maximum(spread, 0)
+        return (spread / spread.sum(axis=1, keepdims=True)).astype(np.float32)
+
+    def pose(self, transforms: NDArray[np.floating]) -> Iterator[SplatCloud]:
+        """The cloud in each pose of transforms (P, B, 4, 4)."""
+        transforms = np.asarray(transforms, np.float64)
+        goal = skin_points(self._rest, self._bone, transforms)
+        posed = skin_points(self._rest, self._heat, transforms)
+        rotations = np.empty((*posed.shape[:2], 3, 3))
+        pull = np.empty_like(posed)
+        graph = self._adjacency
+        for _ in range(ITERATIONS):
+            _local_rotations(self._rest, posed, graph.indptr, graph.indices, rotations)
+            _turned_edges(self._rest, rotations, graph.indptr, graph.indices, pull)
+            pull += self._strength[:, None] * goal
+            flat = pull.transpose(1, 0, 2).reshape(len(self._rest), -1)
+            solved = self._solver.solve(flat).reshape(len(self._rest), len(transforms), 3)
+            posed = np.ascontiguousarray(solved.transpose(1, 0, 2))
+        _local_rotations(self._rest, posed, graph.indptr, graph.indices, rotations)
+        for position, rotation in zip(posed, rotations, strict=True):
+            yield self._carry(position, rotation)
+
+    def _carry(self, posed: NDArray[np.float64], rotation: NDArray[np.float64]) -> SplatCloud:
+        """Splats follow the rigid motions of their nodes, blended (embedded deformation, Sumner 2007)."""
+        from dataclasses import replace
+
+        graph, means = self.graph, self.cloud.means
+        offset = means[:, None, :] - self._rest[graph.anchor]
+        moved = np.einsum("nkij,nkj->nki", rotation[graph.anchor], offset) + posed[graph.anchor]
+        turn = matrix_to_quat(rotation)[graph.anchor]
+        turn *= np.where((turn * turn[:, :1]).sum(-1, keepdims=True) < 0, -1.0, 1.0)
+        blended = normalize(np.einsum("nk,nkq->nq", graph.anchor_weight, turn))
+        return replace(
+            self.cloud,
+            means=np.einsum("nk,nkd->nd", graph.anchor_weight, moved).astype(np.float32),
+            quats=normalize(quat_multiply(blended, self.cloud.quats)).astype(np.float32),
+        )
+
+
+def _diagonal(cloud: SplatCloud) -> float:
+    lower, upper = cloud.bounds()
+    return float(np.linalg.norm(upper - lower))
+
+
+@njit(cache=True, parallel=True)
+def _local_rotations(rest, posed, pointer, index, out):  # type: ignore[no-untyped-def]
+    """out (P, M, 3, 3): the rotation that best takes each node's rest edges to its posed ones."""
+    poses, count = posed.shape[0], posed.shape[1]
+    for work in prange(poses * count):
+        p, j = work // count, work % count
+        S = np.zeros((3, 3))
+        for e in range(pointer[j], pointer[j + 1]):
+            k = index[e]
+            for a in range(3):
+                d = posed[p, k, a] - posed[p, j, a]
+                for b in range(3):
+                    S[a, b] += d * (rest[k, b] - rest[j, b])
+        closest_rotation(S, out[p, j])
+
+
+@njit(cache=True, parallel=True)
+def _turned_edges(rest, rotations, pointer, index, out):  # type: ignore[no-untyped-def]
+    """out (P, M, 3): right-hand side of the global step, sum_j (R_i + R_j) / 2 (x_i - x_j)."""
+    poses, count = rotations.shape[0], rotations.shape[1]
+    for work in prange(poses * count):
+        p, j = work // count, work % count
+        for a in range(3):
+            out[p, j, a] = 0.0
+        for e in range(pointer[j], pointer[j + 1]):
+            k = index[e]
+            for a in range(3):
+                for b in range(3):
+                    both = 0.5 * (rotations[p, j, a, b] + rotations[p, k, a, b])
+                    out[p, j, a] += both * (rest[j, b] - rest[k, b])

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A sparse graph of nodes on the splats, for deformations that do not need every splat."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class NodeGraph:
+    """Nodes that stand for the splats around them.
+
+    nodes (M,): indices of the splats that serve as nodes; edges (E, 2): pairs of nodes;
+    anchor (N, K) and anchor_weight (N, K): the nodes that carry each splat, rows sum to 1.
+    """
+
+    nodes: NDArray[np.int64]
+    edges: NDArray[np.int64]
+    anchor: NDArray[np.int64]
+    anchor_weight: NDArray[np.float64]
+
+
+def build_graph(
+    means: NDArray[np.floating], count: int = 4000, *, neighbours: int = 10, anchors: int = 4
+) -> NodeGraph:
+    """Choose about `count` evenly spread nodes and connect each to its `neighbours` nearest.
+
+    means (N, 3). Separate pieces are joined by their shortest gaps, so that the graph is connected.
+    """
+    from scipy.spatial import cKDTree
+
+    nodes = _even_subset(means, count)
+    points = np.asarray(means[nodes], np.float64)
+    tree = cKDTree(points)
+    k = min(neighbours + 1, len(nodes))
+    index = tree.query(points, k)[1].reshape(len(nodes), -1)[:, 1:]
+    edges = np.stack([np.repeat(np.arange(len(nodes)), index.shape[1]), index.ravel()], axis=1)
+    edges = np.unique(np.sort(edges, axis=1), axis=0)
+    edges = np.concatenate([edges, _bridges(points, edges)])
+    distance, anchor = tree.query(means, min(anchors, len(nodes)))
+    distance, anchor = distance.reshape(len(means), -1), anchor.reshape(len(means), -1)
+    reach = distance[:, -1:] * 1.001 + 1e-12
+    weight = (1 - distance / reach) ** 2 + 1e-9
+    return NodeGraph(nodes, edges, anchor, weight / weight.sum(1, keepdims=True))
+
+
+def _even_subset(means: NDArray[np.floating], count: int) -> NDArray[np.int64]:
+    """About `count` splats, one per voxel of a grid whose pitch is searched for by halving."""
+    if len(means) <= count:
+        return np.arange(len(means))
+    lower = np.percentile(means, 0.1, axis=0)
+    side = float(np.ptp(np.percentile(means, [0.1, 99.9], axis=0), axis=0).max())
+    low, high = 1.0, 2048.0
+    for _ in range(14):
+        middle = float(np.sqrt(low * high))
+        cells = np.floor((means - lower) / side * middle).astype(np.int64)
+        taken = np.unique(cells, axis=0, return_index=True)[1]
+        low, high = (middle, high) if len(taken) < count else (low, middle)
+    # The most central splat of each voxel keeps the nodes evenly spaced.
+    offset = np.square((means - lower) / side * middle - cells - 0.5).sum(1)
+    order = np.argsort(offset, kind="stable")
+    return np.sort(order[np.unique(cells[order], axis=0, return_index=True)[1]])
+
+
+def _bridges(points: NDArray[np.float64], edges: NDArray[np.int64]) -> NDArray[np.int64]:
+    """One edge across the shortest gap of each separate piece, until all are one."""
+    from scipy import sparse
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    added: list[tuple[int, int]] = []
+    while True:
+        every = np.concatenate([edges, np.array(added, np.int64).reshape(-1, 2)])
+        matrix = sparse.coo_matrix((np.ones(len(every)), every.T), shape=(len(points),) * 2)
+        pieces, label = connected_components(matrix, directed=False)
+        if pieces == 1:
+            return np.array(added, np.int64).reshape(-1, 2)
+        for piece in np.argsort(np.bincount(label))[:-1]:
+            inside, outside = np.flatnonzero(label == piece), np.flatnonzero(label != piece)
+            distance, nearest = cKDTree(points[outside]).query(points[inside])
+            best = int(distance.argmin())
+            added.append((int(inside[best]), int(outside[nearest[best]])))

@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Learning the weights from guidance images (Eq. 9): rendering loss + ARAP + coupling, by Adam."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..render.camera import Camera
+from ..render.cpu import DILATION, ImageLoss
+from ..render.photometric import photometric_loss
+from ..render.rasterizer import Scene, prepare, view_colors
+from ..rig.skeleton import Skeleton
+from ..splats.cloud import SplatCloud
+from .arap import arap_loss
+from .coupling import coupling_loss, prepare_coupling
+from .presets import Preset
+from .posing import pose_splats
+
+NEIGHBOURS = 30  # the paper's K_1
+ARAP_NODES = 2000
+
+
+@dataclass(frozen=True)
+class Target:
+    """A guidance image: what the splats should look like in one pose from one camera.
+
+    transforms (B, 4, 4); image (H, W, 3) uint8 sRGB at the camera's size.
+    """
+
+    camera: Camera
+    transforms: NDArray[np.float64]
+    image: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """Factors of Eq. 9. ARAP is counted relative to the mean squared edge, coupling in the unit diagonal.
+
+    Both are thereby free of the asset's scale; the paper does not state its w_a and w_c.
+    """
+
+    arap: float = 0.02
+    coupling: float = 20.0
+    dssim: float = 0.2
+
+
+class Optimiser:
+    """Adam on a weight field; keeps what is needed to stop and go on.
+
+    The cloud, the skeleton and the targets must be in the same coordinates, the object near unit size
+    (bounding-box diagonal 1), so that the loss weights mean the same for every asset.
+    """
+
+    def __init__(
+        self,
+        cloud: SplatCloud,
+        skeleton: Skeleton,
+        field: torch.nn.Module,
+        targets: Sequence[Target],
+        preset: Preset,
+        *,
+        losses: LossWeights = LossWeights(),
+        seed: int = 0,
+        background: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    ) -> None:
+        from scipy.spatial import cKDTree
+
+        self.field, self.targets, self.preset, self.losses = field, targets, preset, losses
+        self.iteration = 0
+        self._cloud, self._background = cloud, background
+        self._rng = np.random.default_rng(seed)
+        self._queue: list[int] = []
+        self._adam = torch.optim.Adam(field.parameters(), lr=preset.learning_rate, betas=(0.9, 0.99))
+        self._means = torch.from_numpy(cloud.means)
+        self._quats = torch.from_numpy(cloud.quats)
+        self._scenes: dict[tuple[bytes, int], Scene] = {}
+        self._coupling = prepare_coupling(cloud.means, skeleton)
+        count = min(NEIGHBOURS + 1, cloud.count)
+        self._neighbours = cKDTree(cloud.means).query(cloud.means, count)[1][:, 1:].astype(np.int64)
+        edges = cloud.means[self._neighbours[:: max(1, cloud.count // 5000)]]
+        centres = cloud.means[:: max(1, cloud.count // 5000), None]
+        self._edge_square = float(np.square(edges - centres).sum(-1).mean()) + 1e-12
+
+    def step(self) -> dict[str, float]:
+        """One iteration on the next batch; returns the parts of the loss."""
+        size = self._size_now()
+        for group in self._adam.param_groups:
+            group["lr"] = self.preset.learning_rate * self._decay()
+        batch = [self._next_target() for _ in range(min(self.preset.batch, len(self.targets)))]
+        transforms = np.stack([self.targets[i].transforms for i in batch])
+        weights = self.field()
+        means, quats = pose_splats(self._means, self._quats, weights, transforms)
+        render = _Render.apply(means, quats, self, batch, size)
+        coupling = coupling_loss(self._coupling, means, transforms)
+        arap = self._arap(means)
+        loss = render + self.losses.arap * arap + self.losses.coupling * coupling
+        self._adam.zero_grad()
+        loss.backward()
+        self._adam.step()
+        self.iteration += 1
+        return {"render": float(render), "arap": float(arap), "coupling": float(coupling)}
+
+    def weights(self) -> NDArray[np.float32]:
+        """The present weights (N, B), rows sum to 1."""
+        with torch.no_grad():
+            return self.field().numpy()
+
+    def state(self) -> dict[str, Any]:
+        """Everything that `restore` needs to go on exactly where this stands."""
+        return {
+            "iteration": self.iteration,
+            "queue": list(self._queue),
+            "rng": self._rng.bit_generator.state,
+            "field": self.field.state_dict(),
+            "adam": self._adam.state_dict(),
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Go on from a `state` of an optimiser with the same inputs."""
+        self.field.load_state_dict(state["field"])
+        self._adam.load_state_dict(state["adam"])
+        self._rng.bit_generator.state = state["rng"]
+        self._queue = list(state["queue"])
+        self.iteration = int(state["iteration"])
+
+    def _size_now(self) -> int:
+        passed = 0
+        for size, iterations in self.preset.stages:
+            passed += iterations
+            if self.iteration < passed:
+                return size
+        return self.preset.stages[-1][0]
+
+    def _decay(self) -> float:
+        """Cosine from 1 to 0.1: early steps are large, the last ones settle."""
+        part = self.iteration / max(self.preset.iterations, 1)
+        return 0.1 + 0.9 * 0.5 * (1 + np.cos(np.pi * min(part, 1.0)))
+
+    def _next_target(self) -> int:
+        if not self._queue:
+            self._queue = self._rng.permutation(len(self.targets)).tolist()
+        return self._queue.pop()
+
+    def render_and_grad(
+        self, means: NDArray[np.float32], quats: NDArray[np.float32], batch: Sequence[int], size: int
+    ) -> tuple[float, NDArray[np.float32], NDArray[np.float32]]:
+        """Mean photometric loss of the targets `batch`, with its gradients to means (P, N, 3), quats (P, N, 4).
+
+        Targets that share a scene (all, for splats without view-dependent colour) are rendered side by side.
+        """
+        groups: dict[int, list[int]] = {}
+        scenes: dict[int, Scene] = {}
+        for slot, index in enumerate(batch):
+            scene = self._scene(self.targets[index].camera, size)
+            scenes[id(scene)] = scene
+            groups.setdefault(id(scene), []).append(slot)
+        total = 0.0
+        grad_means, grad_quats = np.empty_like(means), np.empty_like(quats)
+        for key, slots in groups.items():
+            targets = [self.targets[batch[slot]] for slot in slots]
+            values, grad_means[slots], grad_quats[slots] = scenes[key].render_and_grad_many(
+                means[slots],
+                quats[slots],
+                [target.camera.resized(size) for target in targets],
+                [self._loss(target, size) for target in targets],
+                self._background,
+            )
+            total += float(values.sum())
+        count = len(batch)
+        return total / count, grad_means / count, grad_quats / count
+
+    def _scene(self, camera: Camera, size: int) -> Scene:
+        """The splats as seen in rest pose by a camera; their colours are constants of the optimisation."""
+        key = (b"" if self._cloud.sh_degree == 0 else camera.center.tobytes(), size)
+        if key not in self._scenes:
+            cloud, full = self._cloud, camera.height
+            # Small renders would be blurrier than averaged guidance: correct the opacity for the filter.
+            compensate = None if size == full else DILATION * (size / full) ** 2
+            self._scenes[key] = prepare(
+                cloud.scales, view_colors(cloud, camera), cloud.opacities, compensate=compensate
+            )
+        return self._scenes[key]
+
+    def _loss(self, target: Target, size: int) -> ImageLoss:
+        """The photometric loss of a guidance image, box-averaged where it was made larger than `size`."""
+        image = target.image
+        factor = image.shape[0] // size
+        if factor > 1:
+            blocks = image.reshape(size, factor, size, factor, 3).astype(np.float32)
+            image = blocks.mean(axis=(1, 3)) / np.float32(255)
+        return photometric_loss(image, self._background, weight=self.losses.dssim)
+
+    def _arap(self, means: torch.Tensor) -> torch.Tensor:
+        count = means.shape[1]
+        nodes = self._rng.choice(count, min(ARAP_NODES, count), replace=False)
+        result: torch.Tensor = _Arap.apply(means, self._means, nodes, self._neighbours[nodes])
+        return result / self._edge_square
+
+
+class _Arap(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, posed, rest, nodes, neighbours):  # type: ignore[no-untyped-def]
+        value, grad = arap_loss(rest.numpy(), posed.detach().numpy(), nodes, neighbours)
+        ctx.grad = torch.from_numpy(grad)
+        return torch.tensor(value, dtype=posed.dtype)
+
+    @staticmethod
+    def backward(ctx, grad):  # type: ignore[no-untyped-def]
+        return ctx.grad * grad, None, None, None
+
+
+class _Render(torch.autograd.Function):
+    """The rendering loss as one node: value and gradients come from the rasteriser together."""
+
+    @staticmethod
+    def forward(ctx, means, quats, optimiser, batch, size):  # type: ignore[no-untyped-def]
+        value, *grads = optimiser.render_and_grad(means.detach().numpy(), quats.detach().numpy(), batch, size)
+        ctx.grads = [torch.from_numpy(grad) for grad in grads]
+        return torch.tensor(value, dtype=means.dtype)
+
+    @staticmethod
+    def backward(ctx, grad):  # type: ignore[no-untyped-def]
+        return ctx.grads[0] * grad, ctx.grads[1] * grad, None, None, None

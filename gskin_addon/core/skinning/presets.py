@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Named sets of optimisation settings. Plain data: Blender's own Python reads them for its menus."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ..errors import InputError
+
+
+@dataclass(frozen=True)
+class Preset:
+    """How much guidance to make and how long to learn from it.
+
+    stages: (image size in pixels, iterations), coarse to fine; batch: images per iteration.
+    poses_per_view: guidance images for each of the four views of the paper.
+    """
+
+    description: str
+    poses_per_view: int
+    stages: tuple[tuple[int, int], ...]
+    batch: int
+    learning_rate: float = 0.1
+
+    @property
+    def iterations(self) -> int:
+        """Iterations of all stages together."""
+        return sum(iterations for _, iterations in self.stages)
+
+
+PRESETS: dict[str, Preset] = {
+    "draft": Preset("A first look in well under a minute", 12, ((256, 60), (512, 40)), 4),
+    "standard": Preset("The default: good weights in a minute or two", 24, ((256, 80), (512, 120)), 4),
+    "high": Preset("More poses and longer learning", 50, ((256, 100), (512, 400)), 6),
+    "paper": Preset("The schedule of the G-Skin paper: 500 iterations of 20 images", 50, ((512, 500),), 20),
+}
+DEFAULT_PRESET = "standard"
+
+
+def preset_by_name(name: str) -> Preset:
+    """The preset called `name`.
+
+    Raises:
+        InputError: there is none of that name.
+    """
+    if name not in PRESETS:
+        raise InputError(f"There is no preset '{name}': choose one of {', '.join(PRESETS)}.")
+    return PRESETS[name]
