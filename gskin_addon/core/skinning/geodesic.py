@@ -139,7 +139,7 @@ def _in_sight(ids, p, q, allowance):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _air_at(air, q):  # type: ignore[no-untyped-def]
-    """Distance in voxels from a point to the nearest solid voxel, 0 inside; beyond the grid, from its edge on."""
+    """Distance in voxels from a point to the nearest solid voxel, 0 inside; works beyond the grid."""
     i = min(max(math.floor(q[0]), 0), air.shape[0] - 1)
     j = min(max(math.floor(q[1]), 0), air.shape[1] - 1)
     k = min(max(math.floor(q[2]), 0), air.shape[2] - 1)
@@ -218,6 +218,7 @@ def _one_bone(nodes, ids, air, nearest, head, tail, start, target, length, d):  
     count = len(nodes)
     nx, ny, nz = ids.shape
     anchor = np.full(count, -1, dtype=np.int32)  # the voxel in sight whose distance the path builds on
+    before = np.full(count, -1, dtype=np.int32)  # the voxel before it on the path
     place = np.full(count, -1, dtype=np.int32)  # position in the heap, -1 never there, -2 done
     heap = np.empty(count, dtype=np.int32)
     size = 0
@@ -249,7 +250,7 @@ def _one_bone(nodes, ids, air, nearest, head, tail, start, target, length, d):  
         way = math.sqrt(way)
         if way < d[n]:
             d[n] = way
-            anchor[n] = n
+            anchor[n] = before[n] = n
             if place[n] == -1:
                 heap[size] = n
                 place[n] = size
@@ -258,7 +259,7 @@ def _one_bone(nodes, ids, air, nearest, head, tail, start, target, length, d):  
     # The rim of what is in sight.
     for n in range(count):
         if place[n] == -2:
-            size = _relax(nodes, ids, start, target, length, d, anchor, place, heap, size, n, n)
+            size = _relax(nodes, ids, start, target, length, d, anchor, before, place, heap, size, n, n)
     while size > 0:
         n = _pop(heap, place, d, size)
         size -= 1
@@ -273,12 +274,12 @@ def _one_bone(nodes, ids, air, nearest, head, tail, start, target, length, d):  
                 if _in_sight(ids, p, q, 0.0):
                     d[n] = straight
                 else:
-                    anchor[n] = n
-        size = _relax(nodes, ids, start, target, length, d, anchor, place, heap, size, n, anchor[n])
+                    anchor[n] = before[n]
+        size = _relax(nodes, ids, start, target, length, d, anchor, before, place, heap, size, n, anchor[n])
 
 
 @njit(cache=True)
-def _relax(nodes, ids, start, target, length, d, anchor, place, heap, size, n, a):  # type: ignore[no-untyped-def]
+def _relax(nodes, ids, start, target, length, d, anchor, before, place, heap, size, n, a):  # type: ignore[no-untyped-def]
     """Offer the neighbours of node n the way through it; returns the size of the heap."""
     nx, ny, nz = ids.shape
     x, y, z = nodes[n, 0], nodes[n, 1], nodes[n, 2]
@@ -289,20 +290,21 @@ def _relax(nodes, ids, start, target, length, d, anchor, place, heap, size, n, a
                 if m < 0 or place[m] == -2:
                     continue
                 step = d[n] + math.sqrt(float((i - x) * (i - x) + (j - y) * (j - y) + (k - z) * (k - z)))
-                size = _offer(d, anchor, place, heap, size, m, step, a)
+                size = _offer(d, anchor, before, place, heap, size, m, step, a, n)
     for e in range(start[n], start[n + 1]):
         m = target[e]
         if place[m] != -2:
-            size = _offer(d, anchor, place, heap, size, m, d[n] + length[e], m)
+            size = _offer(d, anchor, before, place, heap, size, m, d[n] + length[e], m, m)
     return size
 
 
 @njit(cache=True)
-def _offer(d, anchor, place, heap, size, m, way, a):  # type: ignore[no-untyped-def]
+def _offer(d, anchor, before, place, heap, size, m, way, a, n):  # type: ignore[no-untyped-def]
     if way >= d[m]:
         return size
     d[m] = way
     anchor[m] = a
+    before[m] = n
     if place[m] == -1:
         heap[size] = m
         place[m] = size
@@ -313,7 +315,7 @@ def _offer(d, anchor, place, heap, size, m, way, a):  # type: ignore[no-untyped-
 
 @njit(parallel=True, cache=True)
 def _point_distances(points, nodes, ids, air, nearest, heads, tails, distance, out):  # type: ignore[no-untyped-def]
-    """out (N, B): distance in voxels from every point to every bone, by sight or over the voxels around it."""
+    """out (N, B): distance in voxels from every point to every bone, by sight or over the voxels around."""
     nx, ny, nz = ids.shape
     for s in prange(len(points)):
         p, q = points[s], np.empty(3)

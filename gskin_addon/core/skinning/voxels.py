@@ -17,7 +17,7 @@ from .extent import robust_bounds
 Array = NDArray[Any]
 
 _PAD = 3  # empty voxels on every side, so that the outside is connected
-_ENCLOSED = 23  # of 26 directions: a voxel that is shut in this far is inside, in spite of holes in the surface
+_ENCLOSED = 23  # of 26 directions: a voxel shut in this far is inside, in spite of holes
 
 
 @dataclasses.dataclass(frozen=True)
@@ -139,14 +139,15 @@ def _without_specks(shell: Array) -> Array:
 def _filled(shell: Array) -> Array:
     from scipy import ndimage
 
-    # Closing bridges one missing voxel; only what it shuts in is taken from it, so narrow gaps stay open.
-    closed = ndimage.binary_closing(shell, structure=ndimage.generate_binary_structure(3, 1))
+    block = np.ones((3, 3, 3), dtype=bool)
+    closed = ndimage.binary_closing(shell, structure=block)
     outside, _ = ndimage.label(~closed)
-    shut_in = (outside != outside[0, 0, 0]) & ~closed
-    solid = shell | shut_in
+    inside = ~closed & ((outside != outside[0, 0, 0]) | (enclosure(closed) >= _ENCLOSED))
+    # Of what the closing added, only the lining of the inside is kept, so that narrow gaps stay open.
+    solid = shell | inside | (closed & ndimage.binary_dilation(inside, structure=block))
+    # Limbs too thin for the closing to leave an inside are filled by the looks of the shell itself.
     solid |= enclosure(solid) >= _ENCLOSED
-    # The one-voxel rim between the shell and what was shut in behind a closed hole.
-    return solid | (ndimage.binary_fill_holes(solid))
+    return ndimage.binary_fill_holes(solid)
 
 
 def enclosure(solid: Array) -> Array:
