@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The options of every command. Imports nothing heavy, so that --help answers at once."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any, NoReturn
+
+from ..core.skinning.presets import PRESETS
+
+VERSION = "0.1.0"
+VIEWS = ("front", "back", "front-left", "front-right", "left", "right")
+INITIAL = ("visibility", "geodesic")
+UP = ("z", "y", "-y")
+
+
+class _Parser(argparse.ArgumentParser):
+    """Mistakes in the options are one sentence too."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help.\n")
+
+
+def build() -> argparse.ArgumentParser:
+    """The parser of all commands; `options.command` names the module that runs."""
+    parser = _Parser(
+        prog="gskin",
+        description="Auto-skin Gaussian splats: weights, posing and rigged glTF.",
+        epilog="Exit codes: 0 done, 2 bad input, 1 failure, 130 cancelled.",
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action="version", version=f"gskin {VERSION}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_Parser)
+    _rig(commands)
+    _pose(commands)
+    _render(commands)
+    return parser
+
+
+def _rig(commands: Any) -> None:
+    rig = commands.add_parser(
+        "rig",
+        help="bind splats to an armature with automatic weights",
+        description="Bind splats to an armature with automatic weights and save the rigged splats.",
+        allow_abbrev=False,
+    )
+    rig.add_argument("splats", type=Path, metavar="SPLATS.ply", help="Gaussian splats (INRIA .ply)")
+    rig.add_argument(
+        "--armature", type=Path, required=True, metavar="RIG", help="armature: .blend, .glb, .gltf or .fbx"
+    )
+    rig.add_argument("--armature-name", metavar="NAME", help="which armature, where the file has several")
+    rig.add_argument("--out", type=Path, required=True, metavar="OUT", help="what to write: .blend or .glb")
+    rig.add_argument("--weights", type=Path, metavar="W.npz", help="also write the weights as arrays")
+    rig.add_argument("--ply-up", choices=UP, default="z", help="the PLY's up axis (default: Blender's, z)")
+    rig.add_argument(
+        "--drop-invalid", action="store_true", help="leave out splats with NaN or infinite values"
+    )
+    rig.add_argument(
+        "--init", choices=INITIAL, default="visibility", help="initial weights (default: %(default)s)"
+    )
+    rig.add_argument(
+        "--guidance",
+        default="elastic",
+        metavar="NAME",
+        help="what makes the guidance images (default: elastic)",
+    )
+    rig.add_argument(
+        "--preset", choices=tuple(PRESETS), default="standard", help="effort (default: %(default)s)"
+    )
+    rig.add_argument(
+        "--max-influences", type=_positive, default=4, metavar="N", help="bones per splat (default: 4)"
+    )
+    rig.add_argument(
+        "--seed", type=_seed, default=0, metavar="N", help="same seed, same weights (default: 0)"
+    )
+    rig.add_argument(
+        "--job-dir", type=Path, metavar="D", help="keep the job here; the same command resumes a stopped one"
+    )
+    rig.add_argument(
+        "--python", metavar="PYTHON", default="", help="the Python with torch that does the work"
+    )
+    rig.add_argument(
+        "--progress",
+        choices=("auto", "bar", "lines", "json", "none"),
+        default="auto",
+        help="on stderr: a bar on terminals, else lines (auto); or the worker's JSON lines",
+    )
+    _common(rig)
+
+
+def _pose(commands: Any) -> None:
+    pose = commands.add_parser(
+        "pose",
+        help="pose rigged splats and save them",
+        description="Pose rigged splats by a frame of an action or by turning bones, and save the result.",
+        allow_abbrev=False,
+    )
+    pose.add_argument("source", type=Path, metavar="RIGGED.blend", help="what `gskin rig` wrote")
+    pose.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        metavar="OUT",
+        help="what to write: .blend, or .ply with posed splats",
+    )
+    _posing(pose)
+    _common(pose)
+
+
+def _render(commands: Any) -> None:
+    render = commands.add_parser(
+        "render",
+        help="draw splats to a PNG",
+        description="Draw splats (.ply) or rigged splats (.blend) in a pose to a PNG.",
+        allow_abbrev=False,
+    )
+    render.add_argument("source", type=Path, metavar="SPLATS", help=".ply, or .blend that `gskin rig` wrote")
+    render.add_argument("--out", type=Path, required=True, metavar="IMAGE.png")
+    render.add_argument("--view", choices=VIEWS, default="front-left", help="(default: %(default)s)")
+    render.add_argument(
+        "--size", type=_positive, default=512, metavar="PIXELS", help="(default: %(default)s)"
+    )
+    render.add_argument(
+        "--background", type=_unit, nargs=3, default=[1.0, 1.0, 1.0], metavar=("R", "G", "B"), help="0 to 1"
+    )
+    render.add_argument(
+        "--color",
+        choices=("splats", "weights"),
+        default="splats",
+        help="the splats' own colours, or one per bone",
+    )
+    render.add_argument(
+        "--engine",
+        choices=("gskin", "cycles"),
+        default="gskin",
+        help="our rasteriser, or Blender's Cycles (.blend)",
+    )
+    render.add_argument("--ply-up", choices=UP, default="z", help="a .ply's up axis (default: z)")
+    render.add_argument("--python", metavar="PYTHON", default="", help="the Python with numba that draws")
+    _posing(render)
+    _common(render)
+
+
+def _posing(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--object", metavar="NAME", help="which splat object, where the file has several")
+    parser.add_argument("--action", metavar="NAME", help="the action to take the pose from")
+    parser.add_argument("--frame", type=float, metavar="F", help="the frame to take the pose from")
+    parser.add_argument(
+        "--rotate",
+        action="append",
+        nargs=4,
+        default=[],
+        metavar=("BONE", "X", "Y", "Z"),
+        help="turn a bone by a rotation vector in degrees about the world's axes at rest; may be given repeatedly",
+    )
+
+
+def _common(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--verbose", action="store_true", help="on an error, print where it happened")
+
+
+def _positive(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{value} is not at least 1")
+    return value
+
+
+def _seed(text: str) -> int:
+    value = int(text)
+    if not 0 <= value < 2**32:
+        raise argparse.ArgumentTypeError(f"{value} is not in 0..4294967295")
+    return value
+
+
+def _unit(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value <= 1.0:
+        raise argparse.ArgumentTypeError(f"{value} is not in 0..1")
+    return value
+
+
+# argparse names the converter in its message
+_positive.__name__, _seed.__name__, _unit.__name__ = "whole number", "whole number", "number"

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`gskin render`: a picture of splats, or of rigged splats in a pose."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import importlib.util
+import subprocess
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from ..core.errors import GSkinError, InputError
+from ..core.splats.cloud import SH_C0, SplatCloud
+from ..core.splats.ply import write_ply
+from ..core.worker.files import write_png
+from ..core.worker.interpreter import find_worker_python, worker_environment
+from .console import say
+from .paths import check_output
+from .pose import open_posed
+from .rig import read_splats
+
+
+def run(options: argparse.Namespace) -> None:
+    """Do it. Raises InputError for what cannot be used."""
+    check_output(options.out, "--out", (".png",))
+    if options.source.suffix.lower() == ".ply":
+        if (
+            options.engine == "cycles"
+            or options.color == "weights"
+            or options.rotate
+            or options.frame is not None
+        ):
+            raise InputError(
+                f"'{options.source}' has no rig to pose, colour or render by; give a rigged .blend."
+            )
+        draw(read_splats(options.source, options.ply_up, drop_invalid=True), options)
+    else:
+        obj = open_posed(options)
+        if options.engine == "cycles":
+            from ..scene.cycles import render_view
+
+            render_view(obj, options.out, options.view.replace("-", "_"), options.size, options.background)
+        else:
+            from ..scene.posing import posed_cloud
+
+            cloud = posed_cloud(obj)
+            if options.color == "weights":
+                cloud = _colored_by_weights(cloud, obj)
+            if importlib.util.find_spec("numba") is not None:
+                draw(cloud, options)
+            else:
+                _draw_elsewhere(cloud, options)
+    say(f"'{options.out}' is drawn.")
+
+
+def draw(cloud: SplatCloud, options: argparse.Namespace) -> None:
+    """Rasterise the cloud, framed on itself, and write the PNG."""
+    from ..core.render.camera import EVALUATION_AZIMUTHS, orbit_views, percentile_bounds
+    from ..core.render.rasterizer import render_cloud
+
+    lower, upper = percentile_bounds(cloud.means)
+    azimuth = EVALUATION_AZIMUTHS[options.view.replace("-", "_")]
+    (camera,) = orbit_views(lower, upper, options.size, [azimuth], margin=0.06)
+    image, _ = render_cloud(cloud, camera, background=options.background)
+    write_png(options.out, image)
+
+
+def _colored_by_weights(cloud: SplatCloud, obj: object) -> SplatCloud:
+    from ..core.rig.colors import weight_colors
+    from ..scene.weights import read_weights
+
+    weights, _ = read_weights(obj)
+    total = weights.sum(axis=1, keepdims=True)
+    rgb = weight_colors(weights / np.maximum(total, 1e-12))
+    return dataclasses.replace(cloud, sh=((rgb - 0.5) / SH_C0)[:, None, :].astype(np.float32))
+
+
+def _draw_elsewhere(cloud: SplatCloud, options: argparse.Namespace) -> None:
+    """Blender's own Python has no numba: the worker's Python draws the posed splats."""
+    python = find_worker_python(options.python)
+    if python is None:
+        raise InputError(
+            "No Python with numba was found to draw with; name one with --python or GSKIN_PYTHON."
+        )
+    program = Path(__file__).resolve().parents[1] / "cli.py"
+    with tempfile.TemporaryDirectory(prefix="gskin-render-") as folder:
+        posed = Path(folder) / "posed.ply"
+        write_ply(posed, cloud)
+        command = [str(python), str(program), "render", str(posed), "--out", str(options.out.absolute())]
+        command += ["--view", options.view, "--size", str(options.size)]
+        command += ["--background", *(str(value) for value in options.background)]
+        done = subprocess.run(command, env=worker_environment(), capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        reason = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
+        raise GSkinError(f"'{python}' could not draw the splats: {reason}")

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`gskin rig`: splats and an armature in, rigged splats out."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from ..core.errors import InputError
+from ..core.rig.lbs import sparsify
+from ..core.splats.axes import rotate_cloud, up_rotation
+from ..core.splats.cloud import SplatCloud
+from ..core.splats.ply import read_ply
+from ..core.worker.client import ProgressEvent, WorkerClient
+from ..core.worker.contract import Result, write_job, write_weights
+from ..core.worker.interpreter import find_worker_python
+from .blender import require_bpy
+from .console import ProgressPrinter, say
+from .paths import check_output, same_file
+
+
+def run(options: argparse.Namespace) -> None:
+    """Do it. Raises InputError for what cannot be used, WorkerError where the job failed, Cancelled."""
+    check_output(options.out, "--out", (".blend", ".glb"))
+    if options.weights is not None:
+        check_output(options.weights, "--weights", (".npz",))
+    for given in (options.armature, options.splats):
+        if same_file(given, options.out):
+            raise InputError(f"--out '{options.out}' would overwrite its own input; choose another name.")
+    python = find_worker_python(options.python)
+    if python is None:
+        raise InputError(
+            "No Python with torch was found for the worker; name one with --python or GSKIN_PYTHON "
+            "(pip install 'gskin_addon[worker]' makes one)."
+        )
+    cloud = read_splats(options.splats, options.ply_up, options.drop_invalid)
+
+    require_bpy()
+    from ..scene import rig_files
+    from ..scene.armature import read_skeleton
+
+    rig_files.empty_scene()
+    armature = rig_files.import_armature(options.armature, options.armature_name)
+    skeleton = read_skeleton(armature)
+    settings = {
+        "preset": options.preset,
+        "initial": options.init,
+        "guidance": options.guidance,
+        "seed": options.seed,
+    }
+    printer = ProgressPrinter(options.progress)
+    with _job_folder(options.job_dir) as folder, contextlib.closing(printer):
+        write_job(
+            folder,
+            cloud,
+            skeleton,
+            settings,
+            splats=f"'{options.splats}'",
+            armature=f"Armature '{armature.name}'",
+            up=options.ply_up,
+        )
+        result = _work(python, folder, printer)
+        weights = sparsify(result.weights, options.max_influences)
+        printer(ProgressEvent("save", 1.0, message=options.out.name))
+        if options.weights is not None:
+            write_weights(options.weights, weights, skeleton)
+        _save(
+            options.out, cloud, options.splats.stem, armature, weights, result.bones, options.max_influences
+        )
+    say(f"{cloud.count:,} splats follow {skeleton.count} bones in '{options.out}'.")
+
+
+def read_splats(path: Path, up: str, drop_invalid: bool) -> SplatCloud:
+    """The splats of a .ply in Blender's world axes; says how many were dropped."""
+    if path.suffix.lower() != ".ply":
+        raise InputError(f"'{path}' is no .ply file; export the splats as a Gaussian splat .ply.")
+    if not path.is_file():
+        raise InputError(f"'{path}' does not exist; check the path of the splats.")
+    splats = read_ply(path, drop_invalid=drop_invalid)
+    dropped = splats.total - splats.cloud.count
+    if dropped:
+        say(f"'{path}': {dropped:,} invalid splats of {splats.total:,} were left out.")
+    return splats.cloud if up == "z" else rotate_cloud(splats.cloud, up_rotation(up))
+
+
+def _work(python: Path, folder: Path, printer: ProgressPrinter) -> Result:
+    client = WorkerClient(python, folder)
+    client.start()
+    return client.wait(printer)
+
+
+def _save(
+    out: Path, cloud: SplatCloud, name: str, armature: object, weights: object, bones: object, influences: int
+) -> None:
+    from ..scene import rig_files
+    from ..scene.splat_object import create_splat_object
+    from ..scene.weights import write_weights as write_groups
+
+    obj = create_splat_object(cloud, name)
+    write_groups(obj, armature, weights, bones, max_influences=influences)
+    if out.suffix.lower() == ".glb":
+        from ..scene.gltf_export import export_glb
+
+        export_glb(out, obj)
+    else:
+        rig_files.save_blend(out)
+
+
+@contextlib.contextmanager
+def _job_folder(kept: Path | None) -> Iterator[Path]:
+    """The folder given, which stays, or one for this run only."""
+    if kept is not None:
+        yield kept
+        return
+    with tempfile.TemporaryDirectory(prefix="gskin-job-") as folder:
+        yield Path(folder)

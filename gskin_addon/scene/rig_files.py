@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Armatures and rigged splats from files, and .blend files that are written whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from ..core.errors import GSkinError, InputError
+from ..core.worker.files import disk_error
+from .bone_frames import is_bone_frames
+from .splat_object import is_splat_object
+
+ARMATURE_SUFFIXES = (".blend", ".glb", ".gltf", ".fbx")
+
+
+def empty_scene() -> None:
+    """Leave the present file for an empty one; preferences and add-ons stay as they are."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+
+
+def import_armature(path: Path, name: str | None = None) -> bpy.types.Object:
+    """Add the armature of a .blend, .glb, .gltf or .fbx file to the scene, with its actions, without its meshes.
+
+    `name` chooses among several. Raises InputError: no such file or kind, unreadable, no armature, no such name.
+    """
+    if path.suffix.lower() not in ARMATURE_SUFFIXES:
+        raise InputError(f"'{path}' is no armature file; give a {', '.join(ARMATURE_SUFFIXES)} file.")
+    if not path.is_file():
+        raise InputError(f"'{path}' does not exist; check the path of the armature file.")
+    before = set(bpy.data.objects)
+    if path.suffix.lower() == ".blend":
+        _append(path)
+    else:
+        _import(path)
+    added = [obj for obj in bpy.data.objects if obj not in before]
+    armature = _choose([obj for obj in added if obj.type == "ARMATURE"], "armature", name, path)
+    _remove_others(armature, added)
+    return armature
+
+
+def open_blend(path: Path) -> None:
+    """Open a .blend without running its scripts. Raises InputError where it cannot be read."""
+    if not path.is_file():
+        raise InputError(f"'{path}' does not exist; check the path.")
+    try:
+        with _quiet():
+            bpy.ops.wm.open_mainfile(filepath=str(path.absolute()), load_ui=False, use_scripts=False)
+    except RuntimeError as error:
+        raise InputError(
+            f"'{path}' cannot be opened as a .blend ({_reason(error)}); save it again."
+        ) from error
+
+
+def find_splats(path: Path, name: str | None = None) -> bpy.types.Object:
+    """The scene's splat object; `name` chooses among several. Raises InputError where there is none."""
+    return _choose(
+        [obj for obj in bpy.context.scene.objects if is_splat_object(obj)], "splat object", name, path
+    )
+
+
+def save_blend(path: Path) -> None:
+    """Save the present file at `path`, by way of a temporary file. Raises GSkinError where that fails."""
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp.blend").absolute()
+    try:
+        with _quiet():
+            bpy.ops.wm.save_as_mainfile(
+                filepath=str(temporary), check_existing=False, copy=True, compress=True
+            )
+        os.replace(temporary, path)
+    except OSError as error:
+        raise disk_error(error, path) from error
+    except RuntimeError as error:
+        raise GSkinError(
+            f"'{path}' could not be written ({_reason(error)}); check folder and free space."
+        ) from error
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def _append(path: Path) -> None:
+    try:
+        with _quiet(), bpy.data.libraries.load(str(path.absolute()), link=False) as (source, target):
+            target.objects = list(source.objects)
+            target.actions = list(source.actions)
+    except (OSError, RuntimeError, ValueError) as error:
+        raise InputError(f"'{path}' cannot be read as a .blend ({_reason(error)}); save it again.") from error
+    for action in target.actions:
+        if action is not None:
+            action.use_fake_user = True
+    for obj in target.objects:
+        if obj is not None and obj.type == "ARMATURE":
+            bpy.context.scene.collection.objects.link(obj)
+            # The frame of a parent (an empty that scales an imported rig, say) comes with it.
+            parent = obj.parent
+            while parent is not None:
+                if parent.name not in bpy.context.scene.objects:
+                    bpy.context.scene.collection.objects.link(parent)
+                parent = parent.parent
+    bpy.context.view_layer.update()
+
+
+def _import(path: Path) -> None:
+    try:
+        with _quiet():
+            if path.suffix.lower() == ".fbx":
+                # Other programs' bones do not point along Blender's y axis; this turns them to their children.
+                bpy.ops.import_scene.fbx(filepath=str(path.absolute()), automatic_bone_orientation=True)
+            else:
+                # glTF has no bone tails; this heuristic points them at the children and keeps Blender's own bones.
+                options: dict[str, Any] = {"bone_heuristic": "TEMPERANCE"}
+                if "disable_bone_shape" in bpy.ops.import_scene.gltf.get_rna_type().properties:
+                    options["disable_bone_shape"] = True
+                bpy.ops.import_scene.gltf(filepath=str(path.absolute()), **options)
+    except (RuntimeError, AttributeError, ValueError, KeyError, TypeError, IndexError, OSError) as error:
+        raise InputError(f"'{path}' cannot be imported ({_reason(error)}); export it again.") from error
+
+
+def _choose(found: list[bpy.types.Object], kind: str, name: str | None, path: Path) -> bpy.types.Object:
+    names = ", ".join(f"'{obj.name}'" for obj in found)
+    if not found:
+        raise InputError(f"'{path}' has no {kind}; choose a file with one.")
+    if name is None:
+        if len(found) > 1:
+            option = "--armature-name" if kind == "armature" else "--object"
+            raise InputError(f"'{path}' has several {kind}s; choose one of {names} with {option}.")
+        return found[0]
+    for obj in found:
+        if obj.name == name:
+            return obj
+    raise InputError(f"'{path}' has no {kind} '{name}'; it has {names}.")
+
+
+def _remove_others(armature: bpy.types.Object, added: list[bpy.types.Object]) -> None:
+    """Keep of an imported file only the armature, its parents, and what its bones need."""
+    needed = {armature}
+    parent = armature.parent
+    while parent is not None:
+        needed.add(parent)
+        parent = parent.parent
+    for bone in armature.pose.bones:
+        needed.update(shape for shape in [bone.custom_shape] if shape is not None)
+        needed.update(c.target for c in bone.constraints if getattr(c, "target", None) is not None)
+    for obj in added:
+        if obj not in needed and not is_bone_frames(obj):
+            bpy.data.objects.remove(obj)
+    bpy.data.orphans_purge(do_local_ids=True, do_linked_ids=True, do_recursive=True)
+
+
+def _reason(error: BaseException) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return (lines[-1] if lines else type(error).__name__).removeprefix("Error: ").rstrip(".")
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Importers print to stdout; the command line's stdout is for results."""
+    kept = sys.stdout
+    sys.stdout = io.StringIO()
+    try:
+        yield
+    finally:
+        sys.stdout = kept
