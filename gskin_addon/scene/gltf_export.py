@@ -97,19 +97,22 @@ def export_glb(
     deform_bones_only: bool = False,
     animations: bool = True,
 ) -> None:
-    """Export splat objects, with the armatures they follow and those armatures' actions, as one .glb.
+    """Export splat objects, with the armatures they follow and their actions, as one .glb.
 
     Further objects in `objects` are exported as Blender does. The file appears at `path` when it is complete.
 
     Raises InputError: no splat object, not a .glb name, an object that is not in the scene or not selectable,
-    non-uniform object scale; GSkinError where the exporter fails or the file cannot be written.
+    no such folder, non-uniform object scale; GSkinError where the exporter fails or the file cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() != ".glb":
         raise InputError(f"{path} does not end in .glb; choose such a name.")
+    if not path.parent.is_dir():
+        raise InputError(f"{path.parent} is no folder; create it or choose another one.")
     if not any(is_splat_object(obj) for obj in objects):
-        raise InputError(f"{path}: there are no splats among the objects to export; select a splat object.")
+        raise InputError(f"{path}: there are no splats among the objects to export; choose a splat object.")
     armatures = [armature for obj in objects if (armature := armature_of(obj)) is not None]
+    frame = bpy.context.scene.frame_current
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.part.glb")
     try:
         with _selected([*objects, *armatures]), _discoverable(), nodes_hidden():
@@ -134,12 +137,24 @@ def export_glb(
             raise _failures[0]
         os.replace(temporary, path)
     except RuntimeError as error:
-        raise GSkinError(f"{path}: Blender's glTF exporter failed ({error}).") from error
+        if _failures:
+            raise _failures[0] from error
+        raise GSkinError(f"{path}: Blender's glTF exporter failed ({_last_error(error)}).") from error
     except OSError as error:
         reason = error.strerror or error
         raise GSkinError(f"{path} cannot be written ({reason}); check the folder and free space.") from error
     finally:
+        # The exporter moves to frame 0 and stays there when it fails.
+        if bpy.context.scene.frame_current != frame:
+            bpy.context.scene.frame_set(frame)
         temporary.unlink(missing_ok=True)
+
+
+def _last_error(error: RuntimeError) -> str:
+    """The line of an operator's traceback that says what happened."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    named = [line for line in lines if "Error: " in line and not line.startswith("Error: Python")]
+    return named[-1] if named else lines[-1] if lines else "no reason given"
 
 
 def hide_nodes() -> None:
@@ -225,8 +240,8 @@ def _add_splats(gltf2_mesh: Any, cloud: SplatCloud) -> None:
     primitive = gltf2_mesh.primitives[0]
     count = primitive.attributes["POSITION"].count
     if len(gltf2_mesh.primitives) != 1 or count != cloud.count:
-        raise InputError(f"'{gltf2_mesh.name}' has faces or edges besides its splats; delete them, export again.")
-    # Whatever else the exporter found (vertex colours, upper-cased attributes) is not in glTF's axes or not legal.
+        raise InputError(f"'{gltf2_mesh.name}' has faces or edges besides its splats; delete them first.")
+    # What else the exporter found (vertex colours, upper-cased names) is not in glTF's axes or not legal.
     kept = ("POSITION", "JOINTS_", "WEIGHTS_", "_")
     attributes = {name: value for name, value in primitive.attributes.items() if name.startswith(kept)}
     attributes["COLOR_0"] = _accessor(gltf.fallback_color(cloud))

@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -95,7 +96,8 @@ def write_ply(path: str | os.PathLike[str], cloud: SplatCloud, *, fmt: str = "bi
         reason = error.strerror or error
         raise GSkinError(f"{path} cannot be written ({reason}); check the folder and free space.") from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink()
 
 
 def _splat_element(header: Header, path: Path) -> tuple[Element, int]:

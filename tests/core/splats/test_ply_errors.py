@@ -175,6 +175,9 @@ def test_writer_refuses(tmp_path):
         write_ply(tmp_path / "out.ply", cloud.select(slice(0, 0)))
     with pytest.raises(GSkinError, match="cannot be written"):
         write_ply(tmp_path / "none" / "out.ply", cloud)
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(GSkinError, match="cannot be written"):
+        write_ply(tmp_path / "file" / "out.ply", cloud)
 
 
 def test_full_disk_leaves_the_old_file(tmp_path, monkeypatch):
