@@ -7,12 +7,14 @@ import argparse
 from pathlib import Path
 from typing import Any, NoReturn
 
-from ..core.skinning.presets import PRESETS
+from ..core.guidance import DEFAULT_GUIDANCE, GUIDANCE
+from ..core.skinning.initial import INITIAL_WEIGHTS
+from ..core.skinning.presets import DEFAULT_PRESET, PRESETS
+from ..core.splats.axes import UP_AXES
+from ..core.worker.settings import FRONTS
 
 VERSION = "0.1.0"
 VIEWS = ("front", "back", "front-left", "front-right", "left", "right")
-INITIAL = ("visibility", "geodesic")
-UP = ("z", "y", "-y")
 
 
 class _Parser(argparse.ArgumentParser):
@@ -52,21 +54,39 @@ def _rig(commands: Any) -> None:
     rig.add_argument("--armature-name", metavar="NAME", help="which armature, where the file has several")
     rig.add_argument("--out", type=Path, required=True, metavar="OUT", help="what to write: .blend or .glb")
     rig.add_argument("--weights", type=Path, metavar="W.npz", help="also write the weights as arrays")
-    rig.add_argument("--ply-up", choices=UP, default="z", help="the PLY's up axis (default: Blender's, z)")
+    rig.add_argument(
+        "--ply-up", choices=UP_AXES, default="z", help="the PLY's up axis (default: Blender's, z)"
+    )
     rig.add_argument(
         "--drop-invalid", action="store_true", help="leave out splats with NaN or infinite values"
     )
     rig.add_argument(
-        "--init", choices=INITIAL, default="visibility", help="initial weights (default: %(default)s)"
+        "--init",
+        choices=tuple(INITIAL_WEIGHTS),
+        default="visibility",
+        help="initial weights (default: %(default)s)",
     )
     rig.add_argument(
         "--guidance",
-        default="elastic",
-        metavar="NAME",
-        help="what makes the guidance images (default: elastic)",
+        choices=tuple(GUIDANCE),
+        default=DEFAULT_GUIDANCE,
+        help="what makes the guidance images (default: %(default)s)",
     )
     rig.add_argument(
-        "--preset", choices=tuple(PRESETS), default="standard", help="effort (default: %(default)s)"
+        "--guidance-option",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="a setting of that guidance; repeatable",
+    )
+    rig.add_argument(
+        "--front",
+        choices=tuple(FRONTS),
+        default="-y",
+        help="the side that the object faces (default: %(default)s); write --front=-x",
+    )
+    rig.add_argument(
+        "--preset", choices=tuple(PRESETS), default=DEFAULT_PRESET, help="effort (default: %(default)s)"
     )
     rig.add_argument(
         "--max-influences", type=_positive, default=4, metavar="N", help="bones per splat (default: 4)"
@@ -136,7 +156,7 @@ def _render(commands: Any) -> None:
         default="gskin",
         help="our rasteriser, or Blender's Cycles (.blend)",
     )
-    render.add_argument("--ply-up", choices=UP, default="z", help="a .ply's up axis (default: z)")
+    render.add_argument("--ply-up", choices=UP_AXES, default="z", help="a .ply's up axis (default: z)")
     render.add_argument("--python", metavar="PYTHON", default="", help="the Python with numba that draws")
     _posing(render)
     _common(render)
@@ -152,7 +172,7 @@ def _posing(parser: argparse.ArgumentParser) -> None:
         nargs=4,
         default=[],
         metavar=("BONE", "X", "Y", "Z"),
-        help="turn a bone by a rotation vector in degrees about the world's axes at rest; may be given repeatedly",
+        help="turn a bone by a rotation vector in degrees, along the world's axes at rest; repeatable",
     )
 
 

@@ -70,7 +70,7 @@ def open_posed(options: argparse.Namespace) -> bpy.types.Object:
 
 
 def parse_turns(given: list[list[str]]) -> dict[str, tuple[float, float, float]]:
-    """Bone -> rotation vector in degrees, from --rotate BONE X Y Z. Raises InputError for what is no number."""
+    """Bone -> rotation vector in degrees, from --rotate BONE X Y Z. InputError for what is no number."""
     turns: dict[str, tuple[float, float, float]] = {}
     for bone, *numbers in given:
         try:

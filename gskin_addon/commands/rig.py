@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from ..core.errors import InputError
 from ..core.rig.lbs import sparsify
@@ -17,6 +19,7 @@ from ..core.splats.ply import read_ply
 from ..core.worker.client import ProgressEvent, WorkerClient
 from ..core.worker.contract import Result, write_job, write_weights
 from ..core.worker.interpreter import find_worker_python
+from ..core.worker.settings import JobSettings
 from .blender import require_bpy
 from .console import ProgressPrinter, say
 from .paths import check_output, same_file
@@ -47,10 +50,14 @@ def run(options: argparse.Namespace) -> None:
     skeleton = read_skeleton(armature)
     settings = {
         "preset": options.preset,
-        "initial": options.init,
+        "init": options.init,
         "guidance": options.guidance,
+        "max_influences": options.max_influences,
         "seed": options.seed,
+        "front": options.front,
+        "options": parse_guidance_options(options.guidance_option),
     }
+    JobSettings.parse(settings)
     printer = ProgressPrinter(options.progress)
     with _job_folder(options.job_dir) as folder, contextlib.closing(printer):
         write_job(
@@ -86,6 +93,20 @@ def read_splats(path: Path, up: str, drop_invalid: bool) -> SplatCloud:
     return splats.cloud if up == "z" else rotate_cloud(splats.cloud, up_rotation(up))
 
 
+def parse_guidance_options(given: list[str]) -> dict[str, Any]:
+    """NAME=VALUE pairs as settings; a value that is JSON (a number, true) is taken as such, else as text."""
+    values: dict[str, Any] = {}
+    for pair in given:
+        name, equals, text = pair.partition("=")
+        if not name or not equals:
+            raise InputError(f"--guidance-option '{pair}' is not NAME=VALUE.")
+        try:
+            values[name] = json.loads(text)
+        except ValueError:
+            values[name] = text
+    return values
+
+
 def _work(python: Path, folder: Path, printer: ProgressPrinter) -> Result:
     client = WorkerClient(python, folder)
     client.start()
@@ -104,7 +125,7 @@ def _save(
     if out.suffix.lower() == ".glb":
         from ..scene.gltf_export import export_glb
 
-        export_glb(out, obj)
+        export_glb(out, [obj])
     else:
         rig_files.save_blend(out)
 

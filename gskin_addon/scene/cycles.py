@@ -13,10 +13,11 @@ import numpy as np
 
 from ..core.render.camera import EVALUATION_AZIMUTHS, orbit_views, percentile_bounds
 from .posing import posed_cloud
+from .render import render_still
 
 
 def render_view(obj: bpy.types.Object, path: Path, view: str, size: int, background: Sequence[float]) -> None:
-    """Render the scene as it is, from one of EVALUATION_AZIMUTHS, to a PNG of size x size; background sRGB (3,).
+    """Render the scene as it is, from one of EVALUATION_AZIMUTHS, to a size x size PNG; background sRGB (3,).
 
     Changes camera, world and render settings of the scene, which is meant to be thrown away.
     """
@@ -40,17 +41,9 @@ def render_view(obj: bpy.types.Object, path: Path, view: str, size: int, backgro
     world.use_nodes = True
     world.node_tree.nodes["Background"].inputs["Color"].default_value = (*linear.tolist(), 1.0)
     scene.world = world
-    scene.render.engine = "CYCLES"
-    scene.cycles.device, scene.cycles.samples, scene.cycles.seed = "CPU", 32, 0
-    scene.cycles.transparent_max_bounces = 64
-    scene.render.resolution_x = scene.render.resolution_y = size
-    scene.render.resolution_percentage = 100
-    scene.view_settings.view_transform = "Standard"
-    scene.render.image_settings.file_format = "PNG"
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp.png").absolute()
     try:
-        scene.render.filepath = str(temporary)
-        bpy.ops.render.render(write_still=True)
+        render_still(scene, temporary, size=(size, size))
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)

@@ -23,9 +23,9 @@ def turn_bones(
 ) -> None:
     """Turn pose bones on top of their present pose, each about its head.
 
-    turns: bone name -> rotation vector (3,) in degrees about the world's axes, as they lie in the rest pose (the
-    paper's local joint rotation). With `frame` the bones' rotations are keyed there. Raises InputError for an unknown
-    bone.
+    turns: bone name -> rotation vector (3,) in degrees about the world's axes, as they lie in the rest pose
+    (the paper's local joint rotation). With `frame` the bones' rotations are keyed there. Raises InputError
+    for an unknown bone.
     """
     world = armature.matrix_world.to_quaternion()
     for name, vector in turns.items():

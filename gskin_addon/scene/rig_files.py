@@ -27,9 +27,10 @@ def empty_scene() -> None:
 
 
 def import_armature(path: Path, name: str | None = None) -> bpy.types.Object:
-    """Add the armature of a .blend, .glb, .gltf or .fbx file to the scene, with its actions, without its meshes.
+    """Add the armature of a .blend, .glb, .gltf or .fbx file to the scene, with its actions, without meshes.
 
-    `name` chooses among several. Raises InputError: no such file or kind, unreadable, no armature, no such name.
+    `name` chooses among several. Raises InputError: no such file or kind, unreadable, no armature, no such
+    name.
     """
     if path.suffix.lower() not in ARMATURE_SUFFIXES:
         raise InputError(f"'{path}' is no armature file; give a {', '.join(ARMATURE_SUFFIXES)} file.")
@@ -112,10 +113,10 @@ def _import(path: Path) -> None:
     try:
         with _quiet():
             if path.suffix.lower() == ".fbx":
-                # Other programs' bones do not point along Blender's y axis; this turns them to their children.
+                # Other programs' bones do not lie along their y axis; this turns them to their children.
                 bpy.ops.import_scene.fbx(filepath=str(path.absolute()), automatic_bone_orientation=True)
             else:
-                # glTF has no bone tails; this heuristic points them at the children and keeps Blender's own bones.
+                # glTF has no bone tails; this points them at the children and keeps Blender's own bones.
                 options: dict[str, Any] = {"bone_heuristic": "TEMPERANCE"}
                 if "disable_bone_shape" in bpy.ops.import_scene.gltf.get_rna_type().properties:
                     options["disable_bone_shape"] = True
