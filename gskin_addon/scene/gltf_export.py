@@ -101,7 +101,7 @@ def export_glb(
 
     Further objects in `objects` are exported as Blender does. The file appears at `path` when it is complete.
 
-    Raises InputError: no splat object, not a .glb name, no such folder, an object that is not in the scene or not
+    Raises InputError: no splat object, not a .glb name, no such folder, an object not in the scene or not
     selectable, non-uniform object scale; GSkinError where the exporter fails or the file cannot be written.
     """
     path = Path(path)
