@@ -99,25 +99,36 @@ def write_job(
     """
     check_inputs(cloud, skeleton, splats=splats, armature=armature, up=up)
     folder = Path(folder)
-    try:
-        canonical = json.dumps(dict(settings), sort_keys=True, allow_nan=False)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"The job's settings must be plain numbers, words and lists ({error}).") from None
-    arrays = {name: np.ascontiguousarray(getattr(cloud, name)) for name in _CLOUD_ARRAYS}
-    fingerprint = _fingerprint(arrays, skeleton, canonical)
+    identity = fingerprint(cloud, skeleton, settings)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        if _fingerprint_in(folder) != fingerprint:
+        if _fingerprint_in(folder) != identity:
             clear_results(folder)
             (folder / JOB).unlink(missing_ok=True)
     except OSError as error:
         raise disk_error(error, folder) from error
-    write_arrays(folder / SPLATS, arrays)
+    write_arrays(folder / SPLATS, _cloud_arrays(cloud))
     write_text(folder / SKELETON, skeleton.to_json() + "\n")
-    write_json(
-        folder / JOB, {"version": VERSION, "settings": json.loads(canonical), "fingerprint": fingerprint}
-    )
+    write_json(folder / JOB, {"version": VERSION, "settings": dict(settings), "fingerprint": identity})
     return folder
+
+
+def fingerprint(cloud: SplatCloud, skeleton: Skeleton, settings: Mapping[str, Any]) -> str:
+    """32 hexadecimal digits that are the same for the same job.
+
+    Raises:
+        InputError: settings that JSON cannot hold.
+    """
+    try:
+        canonical = json.dumps(dict(settings), sort_keys=True, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"The job's settings must be plain numbers, words and lists ({error}).") from None
+    digest = hashlib.blake2b(digest_size=16)
+    digest.update(f"{VERSION}\n{canonical}\n{skeleton.to_json()}\n".encode())
+    for name, array in _cloud_arrays(cloud).items():
+        digest.update(f"{name} {array.dtype} {array.shape}\n".encode())
+        digest.update(memoryview(array).cast("B") if array.size else b"")
+    return digest.hexdigest()
 
 
 def read_job(folder: str | Path) -> Job:
@@ -251,13 +262,8 @@ def clear_results(folder: str | Path) -> None:
         shutil.rmtree(folder / name, ignore_errors=True)
 
 
-def _fingerprint(arrays: Mapping[str, NDArray[Any]], skeleton: Skeleton, settings: str) -> str:
-    digest = hashlib.blake2b(digest_size=16)
-    digest.update(f"{VERSION}\n{settings}\n{skeleton.to_json()}\n".encode())
-    for name, array in arrays.items():
-        digest.update(f"{name} {array.dtype} {array.shape}\n".encode())
-        digest.update(memoryview(array).cast("B") if array.size else b"")
-    return digest.hexdigest()
+def _cloud_arrays(cloud: SplatCloud) -> dict[str, NDArray[Any]]:
+    return {name: np.ascontiguousarray(getattr(cloud, name)) for name in _CLOUD_ARRAYS}
 
 
 def _fingerprint_in(folder: Path) -> str | None:

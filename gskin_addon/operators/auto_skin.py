@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Auto-Skin Gaussians: give the chosen splats weights for the chosen armature."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..core.errors import Cancelled, GSkinError
+from ..ui import progress
+from ..ui.preferences import worker_python
+from ..ui.properties import chosen_armature, chosen_splats
+from .skin_job import SkinJob
+
+TICK = 0.1
+"""Seconds between two looks at the worker."""
+
+
+class GSKIN_OT_auto_skin(bpy.types.Operator):
+    """Learn skinning weights for the splats, and let them follow the armature"""
+
+    bl_idname = "gskin.auto_skin"
+    bl_label = "Auto-Skin Gaussians"
+    # Not REGISTER: a change in the "adjust last operation" box would start the whole job again.
+    bl_options = {"UNDO"}
+
+    _job: SkinJob | None = None
+    _timer: bpy.types.Timer | None = None
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        problem = what_is_missing(context)
+        if problem:
+            cls.poll_message_set(problem)
+        return not problem
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Start the job and come back to it by a timer: Blender stays free meanwhile."""
+        if bpy.app.background or context.window is None:
+            return self.execute(context)
+        if not self._start(context):
+            return {"CANCELLED"}
+        self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if event.type == "ESC" and event.value == "PRESS":
+            self._job.cancel()
+            return {"RUNNING_MODAL"}
+        if event.type != "TIMER":
+            return {"PASS_THROUGH"}
+        try:
+            if self._job.step():
+                progress.show(context)
+                return {"PASS_THROUGH"}
+            return self._finish(context)
+        except GSkinError as error:
+            return self._fail(context, error)
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Blender ends the operator: another file is loaded, the window closes."""
+        self._job.cancel()
+        self._leave(context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Without a window, and for scripts: run the job to its end, progress printed."""
+        if not self._start(context):
+            return {"CANCELLED"}
+        try:
+            self._job.client.wait(lambda event: print(progress.line(event), flush=True), interval=TICK)
+            return self._finish(context)
+        except GSkinError as error:
+            return self._fail(context, error)
+        except KeyboardInterrupt:
+            return self._fail(context, Cancelled("The job was cancelled."))
+
+    def _start(self, context: bpy.types.Context) -> bool:
+        settings = context.scene.gskin.as_job()
+        python, _ = worker_python(context)
+        try:
+            self._job = SkinJob.start(chosen_splats(context), chosen_armature(context), settings, python)
+        except GSkinError as error:
+            self._fail(context, error)
+            return False
+        progress.begin(self._job)
+        return True
+
+    def _finish(self, context: bpy.types.Context) -> set[str]:
+        sentence = self._job.apply()
+        self._leave(context)
+        progress.end(sentence)
+        self.report({"INFO"}, sentence)
+        return {"FINISHED"}
+
+    def _fail(self, context: bpy.types.Context, error: GSkinError) -> set[str]:
+        self._leave(context)
+        details = getattr(error, "traceback", "")
+        progress.end(str(error), failed=not isinstance(error, Cancelled), details=details)
+        if isinstance(error, Cancelled):
+            self.report({"WARNING"}, str(error))
+        else:
+            if details:
+                print(details)
+            self.report({"ERROR"}, str(error))
+        return {"CANCELLED"}
+
+    def _leave(self, context: bpy.types.Context) -> None:
+        if self._timer is not None:
+            context.window_manager.event_timer_remove(self._timer)
+            self._timer = None
+        progress.clear(context)
+
+
+class GSKIN_OT_cancel_auto_skin(bpy.types.Operator):
+    """Stop the running job; the same job started again goes on where it was"""
+
+    bl_idname = "gskin.cancel_auto_skin"
+    bl_label = "Cancel"
+    bl_options = {"INTERNAL"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return progress.state.job is not None
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        progress.state.job.cancel()
+        return {"FINISHED"}
+
+
+def what_is_missing(context: bpy.types.Context) -> str:
+    """What a person must do before Auto-Skin can run, or nothing. Quick: menus ask on every redraw."""
+    if progress.state.job is not None:
+        return "Auto-Skin is running: wait for it or cancel it"
+    splats = chosen_splats(context)
+    if splats is None:
+        return "No splats are chosen: import a Gaussian splat .ply, or select a splat object"
+    armature = chosen_armature(context)
+    if armature is None:
+        return "No armature is chosen: add one, or select it"
+    if not any(bone.use_deform for bone in armature.data.bones):
+        return f"Armature '{armature.name}' has no deform bones: turn on Deform for some"
+    if splats.mode == "EDIT" or armature.mode == "EDIT":
+        return "An object is in Edit Mode: leave it (Tab)"
+    return worker_python(context)[1]
+
+
+CLASSES = (GSKIN_OT_auto_skin, GSKIN_OT_cancel_auto_skin)
+
+
+def unregister() -> None:
+    progress.stop()

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What Blender gets from gskin, in the order in which it gets it."""
+
+from __future__ import annotations
+
+import bpy
+
+from .operators import auto_skin
+from .ui import panel, preferences, properties
+
+# Each has CLASSES, and register() and unregister() where there is more to do.
+MODULES = (properties, preferences, auto_skin, panel)
+
+
+def register() -> None:
+    """Register all classes, properties, menus and handlers."""
+    for module in MODULES:
+        for cls in module.CLASSES:
+            bpy.utils.register_class(cls)
+        if hasattr(module, "register"):
+            module.register()
+
+
+def unregister() -> None:
+    """Take everything away again, last come first gone."""
+    for module in reversed(MODULES):
+        if hasattr(module, "unregister"):
+            module.unregister()
+        for cls in reversed(module.CLASSES):
+            bpy.utils.unregister_class(cls)

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The scene's choices for Auto-Skin: `scene.gskin`."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..core.guidance import BENCHMARK_ONLY, DEFAULT_GUIDANCE, GUIDANCE
+from ..core.skinning.initial import INITIAL_WEIGHTS
+from ..core.skinning.presets import DEFAULT_PRESET, PRESETS
+from ..core.worker.settings import FRONTS, JobSettings
+from ..scene.splat_object import is_splat_object
+
+_INITIAL_TIPS = {
+    "visibility": "Straight distance to the bones, farther where the splat cannot see the bone (the paper's)",
+    "geodesic": "Distance through the inside of the body; better where limbs come close to each other",
+}
+_PRESETS = [(name, name.capitalize(), preset.description) for name, preset in PRESETS.items()]
+_GUIDANCE = [(name, name.capitalize(), tip) for name, tip in GUIDANCE.items() if name not in BENCHMARK_ONLY]
+_INITIAL = [(name, name.capitalize(), _INITIAL_TIPS.get(name, "")) for name in INITIAL_WEIGHTS]
+_FRONTS = [(name, name.upper(), "") for name in FRONTS]
+_DEFAULTS = JobSettings()
+
+
+def _in_scene(obj: bpy.types.Object, scene: bpy.types.Scene) -> bool:
+    # An object that was deleted lives on while a property names it, so being in bpy.data proves nothing.
+    return scene.objects.get(obj.name) == obj
+
+
+def _is_splats(settings: GSkinSettings, obj: bpy.types.Object) -> bool:
+    return is_splat_object(obj) and _in_scene(obj, settings.id_data)
+
+
+def _is_armature(settings: GSkinSettings, obj: bpy.types.Object) -> bool:
+    return obj.type == "ARMATURE" and _in_scene(obj, settings.id_data)
+
+
+class GSkinSettings(bpy.types.PropertyGroup):
+    splats: bpy.props.PointerProperty(
+        name="Splats",
+        description="The splat object to skin; empty: the selected one",
+        type=bpy.types.Object,
+        poll=_is_splats,
+    )
+    armature: bpy.props.PointerProperty(
+        name="Armature",
+        description="The armature whose deform bones get the weights; empty: the selected one",
+        type=bpy.types.Object,
+        poll=_is_armature,
+    )
+    preset: bpy.props.EnumProperty(
+        name="Preset",
+        description="How much guidance is made and how long is learned from it",
+        items=_PRESETS,
+        default=DEFAULT_PRESET,
+    )
+    guidance: bpy.props.EnumProperty(
+        name="Guidance",
+        description="What shows the optimisation how the posed splats should look",
+        items=_GUIDANCE,
+        default=DEFAULT_GUIDANCE,
+    )
+    init: bpy.props.EnumProperty(
+        name="Initial Weights",
+        description="What the optimisation starts from",
+        items=_INITIAL,
+        default=_DEFAULTS.init,
+    )
+    front: bpy.props.EnumProperty(
+        name="Front",
+        description="The side to which the character looks; the guidance's cameras stand around it",
+        items=_FRONTS,
+        default=_DEFAULTS.front,
+    )
+    max_influences: bpy.props.IntProperty(
+        name="Max Influences",
+        description="The most bones that move one splat; game engines and glTF viewers expect 4",
+        default=_DEFAULTS.max_influences,
+        min=1,
+        max=4,
+    )
+    seed: bpy.props.IntProperty(
+        name="Seed",
+        description="Choice of random poses; the same seed gives the same weights",
+        default=0,
+        min=0,
+    )
+
+    def as_job(self) -> dict[str, str | int]:
+        """The choices as settings of a job."""
+        names = ("preset", "guidance", "init", "front", "max_influences", "seed")
+        return {name: getattr(self, name) for name in names}
+
+
+def chosen_splats(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The splat object of the settings, else the active or the only selected one."""
+    settings = context.scene.gskin
+    if settings.splats is not None and _is_splats(settings, settings.splats):
+        return settings.splats
+    return _selected(context, is_splat_object)
+
+
+def chosen_armature(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The armature of the settings, else the selected, else the one the splats follow, else the only one."""
+    settings = context.scene.gskin
+    if settings.armature is not None and _is_armature(settings, settings.armature):
+        return settings.armature
+    selected = _selected(context, lambda obj: obj.type == "ARMATURE")
+    if selected is not None:
+        return selected
+    splats = chosen_splats(context)
+    followed = splats.find_armature() if splats is not None else None
+    if followed is not None:
+        return followed
+    armatures = [obj for obj in context.scene.objects if obj.type == "ARMATURE"]
+    return armatures[0] if len(armatures) == 1 else None
+
+
+def _selected(context: bpy.types.Context, fits) -> bpy.types.Object | None:
+    active = context.view_layer.objects.active
+    if active is not None and fits(active):
+        return active
+    found = [obj for obj in context.view_layer.objects.selected if fits(obj)]
+    return found[0] if len(found) == 1 else None
+
+
+CLASSES = (GSkinSettings,)
+
+
+def register() -> None:
+    bpy.types.Scene.gskin = bpy.props.PointerProperty(type=GSkinSettings)
+
+
+def unregister() -> None:
+    del bpy.types.Scene.gskin
