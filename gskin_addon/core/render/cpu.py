@@ -11,8 +11,9 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +21,16 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import InputError
 from .camera import Camera
 from .cpu_blend import backward_tiles, forward_tiles
-from .cpu_project import CAMERA, RECORD, TILE, count_tiles, fill_tiles, project, project_backward
+from .cpu_project import (
+    CAMERA,
+    RECORD,
+    TILE,
+    count_tiles,
+    depth_order,
+    fill_tiles,
+    project,
+    project_backward,
+)
 
 Array = NDArray[np.float32]
 ImageLoss = Callable[[Array, Array], tuple[float, Array]]
@@ -56,16 +66,22 @@ def _run(tasks: Sequence[Callable[[], None]]) -> None:
             future.result()
 
 
+def _spread(kernel: Callable[..., None], ranges: Sequence[tuple[int, int]], *args: Any) -> None:
+    """Run kernel(lo, hi, *args) for every range (lo, hi)."""
+    _run([partial(kernel, lo, hi, *args) for lo, hi in ranges])
+
+
 def _ranges(count: int, parts: int) -> list[tuple[int, int]]:
     cuts = np.linspace(0, count, max(parts, 1) + 1).astype(int)
     return [(int(a), int(b)) for a, b in pairwise(cuts) if b > a]
 
 
-def _tile_ranges(tile_start: NDArray[np.int64], parts: int) -> list[tuple[int, int]]:
-    """Runs of tiles with about the same number of splats each."""
+def _tile_ranges(tile_start: NDArray[np.int64], threads: int) -> list[tuple[int, int]]:
+    """Runs of tiles with about the same number of splats each, some per thread so that none waits long."""
     tiles = len(tile_start) - 1
-    if parts <= 1:
+    if threads <= 1:
         return [(0, tiles)]
+    parts = 4 * threads
     work = tile_start + 8 * np.arange(tiles + 1)  # an empty tile costs its background
     cuts = np.searchsorted(work, np.linspace(0, work[-1], parts + 1))
     cuts[0], cuts[-1] = 0, tiles
@@ -112,10 +128,11 @@ class Frame:
     quats: Array
     colors: Array
     camera: NDArray[np.float64]
-    record: NDArray[np.float64]
+    pixels: NDArray[np.float64]
+    record: Array
     first_slot: NDArray[np.int64]
     tile_start: NDArray[np.int64]
-    keys: NDArray[np.uint64]
+    slots: NDArray[np.int32]
     owner: NDArray[np.int32]
     threads: int
 
@@ -157,36 +174,17 @@ class CpuScene:
             if grad_alpha is None
             else np.ascontiguousarray(grad_alpha, np.float32)
         )
-        f, threads = frame, frame.threads
-        partial = np.empty((len(f.owner), 6), np.float32)
-        parts = 1 if threads == 1 else 4 * threads
-        _run(
-            [
-                lambda a=a, b=b: backward_tiles(  # type: ignore[misc]
-                    a, b, f.record, f.colors, f.tile_start, f.keys, f.owner, f.image, f.alpha, gi, ga, partial
-                )
-                for a, b in _tile_ranges(f.tile_start, parts)
-            ]
-        )
+        f = frame
+        sums = np.empty((len(f.owner), 6), np.float32)
+        _spread(
+            backward_tiles, _tile_ranges(f.tile_start, f.threads), f.pixels, f.record, f.colors, f.tile_start, f.slots,
+            f.owner, f.image, f.alpha, gi, ga, sums,
+        )  # fmt: skip
         grad_means, grad_quats = np.empty_like(f.means), np.empty_like(f.quats)
-        _run(
-            [
-                lambda a=a, b=b: project_backward(  # type: ignore[misc]
-                    a,
-                    b,
-                    f.means,
-                    f.quats,
-                    self.scales,
-                    f.camera,
-                    f.record,
-                    f.first_slot,
-                    partial,
-                    grad_means,
-                    grad_quats,
-                )
-                for a, b in _ranges(len(f.means), threads)
-            ]
-        )
+        _spread(
+            project_backward, _ranges(len(f.means), f.threads), f.means, f.quats, self.scales, f.camera, f.first_slot,
+            sums, grad_means, grad_quats,
+        )  # fmt: skip
         return grad_means, grad_quats
 
     def render(
@@ -269,43 +267,29 @@ class CpuScene:
         height, width = camera.size
         columns = (width + TILE - 1) // TILE
         vector = camera_vector(camera, self.dilation, self.compensate)
-        record, depth = np.empty((n, RECORD)), np.zeros(n, np.float32)
+        pixels, record, depth = np.empty((n, 2)), np.empty((n, RECORD), np.float32), np.zeros(n, np.float32)
         rect, tiles = np.empty((n, 4), np.int32), np.empty(n, np.int32)
-        _run(
-            [
-                lambda a=a, b=b: project(  # type: ignore[misc]
-                    a, b, m, q, self.scales, self.opacities, vector, width, height, record, depth, rect, tiles
-                )
-                for a, b in _ranges(n, threads)
-            ]
-            or [lambda: None]
-        )
+        _spread(
+            project, _ranges(n, threads), m, q, self.scales, self.opacities, vector, width, height, pixels, record,
+            depth, rect, tiles,
+        )  # fmt: skip
         tile_start = np.empty(columns * ((height + TILE - 1) // TILE) + 1, np.int64)
         first_slot = np.empty(n + 1, np.int64)
         count_tiles(rect, tiles, columns, first_slot, tile_start)
-        keys, owner = np.empty(int(first_slot[-1]), np.uint64), np.empty(int(first_slot[-1]), np.int32)
-        fill_tiles(
-            rect,
-            tiles,
-            depth.view(np.uint32),
-            columns,
-            tile_start,
-            np.empty_like(tile_start[:-1]),
-            keys,
-            owner,
-        )
+        order, spare = np.empty(n, np.uint64), np.empty(n, np.uint64)
+        order = order[: depth_order(tiles, depth.view(np.uint32), order, spare)]
+        slots, owner = np.empty(int(first_slot[-1]), np.int32), np.empty(int(first_slot[-1]), np.int32)
+        fill_tiles(order, rect, columns, first_slot, tile_start, slots, owner)
         image, alpha = np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32)
         weight = np.zeros(len(owner), np.float32) if weights else _NONE
         back = np.ascontiguousarray(background, np.float32)
-        _run(
-            [
-                lambda a=a, b=b: forward_tiles(  # type: ignore[misc]
-                    a, b, record, c, back, tile_start, keys, owner, image, alpha, weight
-                )
-                for a, b in _tile_ranges(tile_start, 1 if threads == 1 else 4 * threads)
-            ]
+        _spread(
+            forward_tiles, _tile_ranges(tile_start, threads), pixels, record, c, back, tile_start, slots, owner, image,
+            alpha, weight,
+        )  # fmt: skip
+        frame = Frame(
+            image, alpha, m, q, c, vector, pixels, record, first_slot, tile_start, slots, owner, threads
         )
-        frame = Frame(image, alpha, m, q, c, vector, record, first_slot, tile_start, keys, owner, threads)
         return frame, weight
 
 
