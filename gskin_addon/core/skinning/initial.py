@@ -64,12 +64,12 @@ def initial_weights_visibility(
     gamma: float = GAMMA,
     delta: float = DELTA,
 ) -> Array:
-    """The paper's initial weights: Euclidean distance to the bones, and `delta` more where the bone is not
-    visible.
+    """The paper's initial weights: Euclidean distance to the bones, `delta` more for bones that are not visible.
 
     The object is brought to unit bounding-box diagonal first (D mixes squared lengths with a length), so that
     the result does not depend on scale or place. means (N, 3) metres; masks (V, H, W) bool of the object in
-    each camera (Eq. 6). Returns (N, B) float32, rows sum to 1.
+    each camera (Eq. 6), such as a rendered alpha above 0.5; pinholes in them count as outside. Returns (N, B)
+    float32, rows sum to 1.
     """
     from .visibility import bone_visibility
 
