@@ -64,7 +64,7 @@ def initial_weights_visibility(
     gamma: float = GAMMA,
     delta: float = DELTA,
 ) -> Array:
-    """The paper's initial weights: Euclidean distance to the bones, `delta` more for bones that are not visible.
+    """The paper's initial weights: Euclidean distance to the bones, `delta` more where a bone is not visible.
 
     The object is brought to unit bounding-box diagonal first (D mixes squared lengths with a length), so that
     the result does not depend on scale or place. means (N, 3) metres; masks (V, H, W) bool of the object in
