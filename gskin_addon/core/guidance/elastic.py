@@ -8,17 +8,21 @@ bone heat (Baran & Popovic 2007).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from ..render.rasterizer import render_cloud
 from ..rig.lbs import skin_points
 from ..rig.quaternion import matrix_to_quat, normalize, quat_multiply
 from ..rig.rotations import closest_rotation
 from ..splats.cloud import SplatCloud
+from .control import ControlSignal
 from .graph import NodeGraph, build_graph
+from .provider import GuidanceContext, to_bytes
 
 HANDLE_STRENGTH = 3.0
 ITERATIONS = 3
@@ -45,7 +49,7 @@ class ElasticBody:
         from scipy.sparse.linalg import splu
 
         self.cloud = cloud
-        self.graph: NodeGraph = build_graph(cloud.means, nodes)
+        self.graph: NodeGraph = build_graph(cloud.means, distances, nodes)
         self._rest = cloud.means[self.graph.nodes].astype(np.float64)
         a, b = self.graph.edges.T
         count = len(self._rest)
@@ -91,8 +95,6 @@ class ElasticBody:
 
     def _carry(self, posed: NDArray[np.float64], rotation: NDArray[np.float64]) -> SplatCloud:
         """Splats follow the rigid motions of their nodes, blended (embedded deformation, Sumner 2007)."""
-        from dataclasses import replace
-
         graph, means = self.graph, self.cloud.means
         offset = means[:, None, :] - self._rest[graph.anchor]
         moved = np.einsum("nkij,nkj->nki", rotation[graph.anchor], offset) + posed[graph.anchor]
@@ -141,3 +143,26 @@ def _turned_edges(rest, rotations, pointer, index, out):  # type: ignore[no-unty
                 for b in range(3):
                     both = 0.5 * (rotations[p, j, a, b] + rotations[p, k, a, b])
                     out[p, j, a] += both * (rest[j, b] - rest[k, b])
+
+
+class ElasticGuidance:
+    """Renders the elastic body in each pose; no weights, no training, no download."""
+
+    BATCH = 8
+
+    def __init__(self, context: GuidanceContext) -> None:
+        self.body = ElasticBody(context.cloud, context.distances)
+        self._background = context.background
+
+    def images(self, signals: Sequence[ControlSignal]) -> Iterator[NDArray[np.uint8]]:
+        """See Provider; poses are solved `BATCH` at a time, on one factorisation."""
+        for first in range(0, len(signals), self.BATCH):
+            batch = signals[first : first + self.BATCH]
+            posed = self.body.pose(np.stack([signal.transforms for signal in batch]))
+            for signal, cloud in zip(batch, posed, strict=True):
+                yield to_bytes(render_cloud(cloud, signal.camera, self._background)[0])
+
+
+def create(context: GuidanceContext) -> ElasticGuidance:
+    """The provider for `context`."""
+    return ElasticGuidance(context)

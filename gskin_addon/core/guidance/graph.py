@@ -23,12 +23,24 @@ class NodeGraph:
     anchor_weight: NDArray[np.float64]
 
 
+# Two splats whose distances to some bone differ by more than this times the way between them do not touch.
+GAP_RATIO = 2.0
+
+
 def build_graph(
-    means: NDArray[np.floating], count: int = 4000, *, neighbours: int = 10, anchors: int = 4
+    means: NDArray[np.floating],
+    distances: NDArray[np.floating],
+    count: int = 4000,
+    *,
+    neighbours: int = 10,
+    anchors: int = 4,
 ) -> NodeGraph:
     """Choose about `count` evenly spread nodes and connect each to its `neighbours` nearest.
 
-    means (N, 3). Separate pieces are joined by their shortest gaps, so that the graph is connected.
+    means (N, 3); distances (N, B) to the bones through the body. Along the body such a distance changes by
+    no more than the way gone, so a larger change between neighbours betrays a gap (two legs side by side):
+    neither edges nor anchors lead across it. Separate pieces are joined by their shortest gaps, so that the
+    graph is connected.
     """
     from scipy.spatial import cKDTree
 
@@ -36,15 +48,40 @@ def build_graph(
     points = np.asarray(means[nodes], np.float64)
     tree = cKDTree(points)
     k = min(neighbours + 1, len(nodes))
-    index = tree.query(points, k)[1].reshape(len(nodes), -1)[:, 1:]
-    edges = np.stack([np.repeat(np.arange(len(nodes)), index.shape[1]), index.ravel()], axis=1)
+    length, index = tree.query(points, k)
+    pitch = float(np.median(length[:, 1:]))
+    edges = np.stack([np.repeat(np.arange(len(nodes)), k - 1), index[:, 1:].ravel()], axis=1)
     edges = np.unique(np.sort(edges, axis=1), axis=0)
+    profile = np.asarray(distances, np.float32)
+    edges = edges[~_gap(points[edges[:, 0]], points[edges[:, 1]], *profile[nodes[edges.T]], pitch)]
     edges = np.concatenate([edges, _bridges(points, edges)])
-    distance, anchor = tree.query(means, min(anchors, len(nodes)))
+
+    distance, anchor = tree.query(means, min(2 * anchors, len(nodes)))
     distance, anchor = distance.reshape(len(means), -1), anchor.reshape(len(means), -1)
-    reach = distance[:, -1:] * 1.001 + 1e-12
-    weight = (1 - distance / reach) ** 2 + 1e-9
+    apart = np.stack(
+        [_gap(means, points[anchor[:, i]], profile, profile[nodes[anchor[:, i]]], pitch) for i in range(anchor.shape[1])],
+        axis=1,
+    )
+    apart[apart.all(axis=1), 0] = False
+    ranked = np.argsort(np.where(apart, np.inf, distance), axis=1, kind="stable")[:, : anchors + 1]
+    anchor, distance, apart = (np.take_along_axis(a, ranked, 1) for a in (anchor, distance, apart))
+    # The first node left out sets the reach, so that anchors fade out before they are exchanged.
+    reach = np.where(apart, 0.0, distance).max(axis=1, keepdims=True) * 1.001 + 1e-12
+    weight = np.where(apart, 0.0, (1 - distance / reach) ** 2 + 1e-9)[:, :anchors]
+    anchor = anchor[:, :anchors]
     return NodeGraph(nodes, edges, anchor, weight / weight.sum(1, keepdims=True))
+
+
+def _gap(
+    a: NDArray[np.floating],
+    b: NDArray[np.floating],
+    profile_a: NDArray[np.floating],
+    profile_b: NDArray[np.floating],
+    pitch: float,
+) -> NDArray[np.bool_]:
+    """Whether the bodies of points a and b (K, 3) are apart, from their distances to all bones (K, B)."""
+    way = np.linalg.norm(np.asarray(a) - b, axis=1)
+    return np.abs(profile_a - profile_b).max(axis=1) > GAP_RATIO * np.maximum(way, pitch)
 
 
 def _even_subset(means: NDArray[np.floating], count: int) -> NDArray[np.int64]:

@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Guidance images: control signals, dynamic masks, and the providers that turn them into pictures.
+
+Plain Python at import time, so that menus and command lines can list the providers anywhere. Adding one
+is a file with a `create(context) -> Provider` and a line in `GUIDANCE`.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from ..errors import InputError
+
+if TYPE_CHECKING:
+    from .provider import GuidanceContext, Provider
+
+GUIDANCE = {
+    "elastic": "Built in: poses the splats as an elastic body that hangs on its bones, and renders that.",
+    "oracle": "Tests and benchmarks only: poses the splats with weights that are known to be right.",
+}
+DEFAULT_GUIDANCE = "elastic"
+BENCHMARK_ONLY = frozenset({"oracle"})
+
+
+def create_provider(name: str, context: GuidanceContext) -> Provider:
+    """The provider called `name`, ready for `context`.
+
+    Raises:
+        InputError: there is none of that name, or it lacks something it needs.
+    """
+    if name not in GUIDANCE:
+        raise InputError(f"There is no guidance '{name}': choose one of {', '.join(GUIDANCE)}.")
+    provider: Provider = import_module(f".{name}", __name__).create(context)
+    return provider

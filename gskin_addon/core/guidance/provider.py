@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a guidance provider is given and what it gives."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..rig.skeleton import Skeleton
+from ..splats.cloud import SplatCloud
+from .control import ControlSignal
+
+
+@dataclass(frozen=True)
+class GuidanceContext:
+    """One object, in unit size.
+
+    cloud, skeleton: in the same space; initial (N, B): the weights that learning starts from;
+    distances (N, B): from splats to bones through the body; options: the provider's own settings.
+    """
+
+    cloud: SplatCloud
+    skeleton: Skeleton
+    initial: NDArray[np.float32]
+    distances: NDArray[np.float32]
+    background: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Provider(Protocol):
+    """Turns control signals into guidance images.
+
+    A module offers it as `create(context) -> Provider`, which raises InputError when something is missing.
+    """
+
+    def images(self, signals: Sequence[ControlSignal]) -> Iterator[NDArray[np.uint8]]:
+        """One image (H, W, 3) uint8 sRGB per signal, in order, made as it is asked for."""
+
+
+def to_bytes(image: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """An image in [0, 1] as uint8: 200 guidance images in float32 would be 630 MB."""
+    return (np.clip(image, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)

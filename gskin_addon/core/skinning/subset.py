@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Large clouds: learn on a part of the splats, then give the rest what their neighbours learned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..splats.cloud import SplatCloud
+from .field import LOG_FLOOR
+
+LIMIT = 150_000
+NEIGHBOURS = 4
+_CHUNK = 250_000
+
+
+@dataclass(frozen=True)
+class SplatSubset:
+    """The splats that are optimised: index (M,) into the whole cloud, and the cloud they make."""
+
+    index: NDArray[np.int64]
+    cloud: SplatCloud
+    whole: SplatCloud
+
+    def spread(
+        self,
+        learned: NDArray[np.float32],
+        initial: NDArray[np.float32],
+        initial_whole: NDArray[np.float32],
+    ) -> NDArray[np.float32]:
+        """Weights (N, B) of all splats from those of the subset (M, B).
+
+        What was learned is a change of logits that varies smoothly in space, so every other splat adds the
+        mean change of its nearest learned neighbours to the logits of its own initial weights.
+        """
+        if len(self.index) == self.whole.count:
+            return learned
+        from scipy.spatial import cKDTree
+
+        change = np.log(np.maximum(learned, 1e-8)) - np.log(np.maximum(initial, LOG_FLOOR))
+        tree = cKDTree(self.cloud.means)
+        out = np.empty_like(initial_whole)
+        for first in range(0, self.whole.count, _CHUNK):
+            part = slice(first, first + _CHUNK)
+            distance, near = tree.query(self.whole.means[part], NEIGHBOURS)
+            share = 1.0 / np.maximum(distance, 1e-9)
+            share = (share / share.sum(1, keepdims=True)).astype(np.float32)
+            logits = np.log(np.maximum(initial_whole[part], LOG_FLOOR))
+            for k in range(NEIGHBOURS):
+                logits += share[:, k : k + 1] * change[near[:, k]]
+            logits -= logits.max(axis=1, keepdims=True)
+            weights = np.exp(logits)
+            out[part] = weights / weights.sum(axis=1, keepdims=True)
+        out[self.index] = learned
+        return out
+
+
+def choose_subset(cloud: SplatCloud, seed: int, limit: int = LIMIT) -> SplatSubset:
+    """All splats, or a random `limit` of them, enlarged so that they still cover the surface."""
+    if cloud.count <= limit:
+        return SplatSubset(np.arange(cloud.count), cloud, cloud)
+    index = np.sort(np.random.default_rng(seed).choice(cloud.count, limit, replace=False))
+    part = cloud.select(index)
+    grown = part.scales * np.float32(np.sqrt(cloud.count / limit))
+    return SplatSubset(index, replace(part, scales=grown), cloud)

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pictures of a job's result, for people who did not watch it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..guidance.control import ControlSignal
+from ..guidance.mask import dynamic_mask
+from ..render.camera import Camera
+from ..render.rasterizer import render_cloud
+from ..rig.lbs import skin_cloud
+from ..rig.skeleton import Skeleton
+from ..skinning.optimise import Target
+from ..splats.cloud import SH_C0, SplatCloud
+
+Image = NDArray[np.floating]
+_HANDLE, _TARGET = (0.1, 0.3, 1.0), (1.0, 0.15, 0.1)
+
+
+def preview_images(
+    cloud: SplatCloud,
+    skeleton: Skeleton,
+    initial: NDArray[np.floating],
+    weights: NDArray[np.floating],
+    cameras: Sequence[Camera],
+    signals: Sequence[ControlSignal],
+    targets: Sequence[Target],
+) -> dict[str, Image]:
+    """`weights`: splats in their bones' colours, from all cameras; `guidance`: for some poses the control
+    points, the dynamic mask, the guidance image, and the splats posed with initial and learned weights."""
+    colored = weight_colors(cloud, weights, skeleton)
+    sheet = np.concatenate([render_cloud(colored, camera)[0] for camera in cameras], axis=1)
+    rows = []
+    for number in np.linspace(0, len(signals) - 1, min(4, len(signals))).astype(int):
+        signal, target = signals[number], targets[number]
+        rest = render_cloud(cloud, signal.camera)[0]
+        before = render_cloud(skin_cloud(cloud, initial, signal.transforms), signal.camera)[0]
+        after = render_cloud(skin_cloud(cloud, weights, signal.transforms), signal.camera)[0]
+        mask = dynamic_mask(rest, before)
+        shaded = rest * np.where(mask, 1.0, 0.6)[..., None]
+        control = draw_points(shaded, signal.handles, signal.targets)
+        rows.append(np.concatenate([control, target.image / 255.0, before, after], axis=1))
+    return {"weights": sheet, "guidance": np.concatenate(rows)}
+
+
+def weight_colors(
+    cloud: SplatCloud, weights: NDArray[np.floating], skeleton: Skeleton
+) -> SplatCloud:
+    """The cloud with every splat in the blend of its bones' colours (distinct hues, golden-angle steps)."""
+    import colorsys
+
+    golden = 0.61803398875
+    palette = np.array(
+        [colorsys.hsv_to_rgb(i * golden % 1, 0.55 + 0.4 * (i % 2), 0.95) for i in range(skeleton.count)]
+    )
+    color = np.asarray(weights) @ palette
+    return replace(cloud, sh=((color - 0.5) / SH_C0)[:, None, :].astype(np.float32))
+
+
+def draw_points(image: Image, handles: NDArray[np.floating], targets: NDArray[np.floating]) -> Image:
+    """A copy of the image with handle points blue, target points red, as in the paper's figures."""
+    out = np.array(image)
+    height, width = out.shape[:2]
+    radius = max(2, height // 170)
+    for points, color in ((handles, _HANDLE), (targets, _TARGET)):
+        for x, y in points:
+            row, column = int(y), int(x)
+            if 0 <= row < height and 0 <= column < width:
+                box = out[max(row - radius, 0) : row + radius + 1, max(column - radius, 0) : column + radius + 1]
+                box[:] = color
+    return out

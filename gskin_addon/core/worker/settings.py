@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a job may ask for: plain values with defaults, checked before any work is done."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from ..errors import InputError
+from ..guidance import DEFAULT_GUIDANCE, GUIDANCE
+from ..skinning.initial import INITIAL_WEIGHTS
+from ..skinning.presets import DEFAULT_PRESET, PRESETS
+
+FRONTS = {
+    "-y": (0.0, -1.0, 0.0),
+    "y": (0.0, 1.0, 0.0),
+    "-x": (-1.0, 0.0, 0.0),
+    "x": (1.0, 0.0, 0.0),
+}
+"""The side of the object on which the front camera stands, in Blender's world."""
+
+
+@dataclass(frozen=True)
+class JobSettings:
+    """Settings of job.json.
+
+    preset, guidance, init: names in their registries; max_influences: bones per splat in the result, 0 for
+    no limit; seed: of all randomness; front: a key of FRONTS; options: the guidance provider's own.
+    """
+
+    preset: str = DEFAULT_PRESET
+    guidance: str = DEFAULT_GUIDANCE
+    init: str = "visibility"
+    max_influences: int = 4
+    seed: int = 0
+    front: str = "-y"
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def parse(cls, values: Mapping[str, Any]) -> JobSettings:
+        """Settings from job.json's table.
+
+        Raises:
+            InputError: an unknown name or a value that is not allowed.
+        """
+        known = {f.name for f in fields(cls)}
+        unknown = sorted(set(values) - known)
+        if unknown:
+            raise InputError(
+                f"The job has unknown settings {', '.join(unknown)}; known are {', '.join(sorted(known))}."
+            )
+        settings = cls(**values)
+        for name, choices in (
+            ("preset", PRESETS),
+            ("guidance", GUIDANCE),
+            ("init", INITIAL_WEIGHTS),
+            ("front", FRONTS),
+        ):
+            value = getattr(settings, name)
+            if value not in choices:
+                raise InputError(f"The job's {name} is '{value}'; choose one of {', '.join(choices)}.")
+        for name in ("max_influences", "seed"):
+            value = getattr(settings, name)
+            if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+                raise InputError(f"The job's {name} is {value!r}; it must be a whole number from 0 up.")
+        return settings
