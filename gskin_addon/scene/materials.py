@@ -12,6 +12,9 @@ from .node_builder import Tree
 
 VERSION = 1
 
+FAINTEST = 1 / 64
+"""Alpha at which a rendered splat is cut off. Every hit costs Cycles a ray, so this is a matter of time."""
+
 
 def viewport_material() -> bpy.types.Material:
     """Flat, opaque colour from the mesh attribute `names.COLOR`; built once per file."""
@@ -24,10 +27,12 @@ def viewport_material() -> bpy.types.Material:
 
 
 def render_material() -> bpy.types.Material:
-    """Gaussian fall-off over an instanced unit sphere of `RENDER_SIGMAS` standard deviations; built once per file.
+    """Gaussian fall-off over an instanced sphere that ends where alpha is `FAINTEST`; built once per file.
 
     Along a ray a 3D Gaussian is largest where the ray passes nearest to its centre, measured in the splat's own
-    (object) space: alpha = opacity exp(-r^2 / 2) with r that distance in standard deviations.
+    (object) space: alpha = opacity exp(-d^2 / 2) with d that distance in standard deviations. The unit sphere of the
+    instance stands for d_max = sqrt(2 ln(opacity / FAINTEST)), so with r = d / d_max
+    alpha = opacity (opacity / FAINTEST)^(-r^2).
     """
     material, tree = _new("GSkin Splats")
     if tree is not None:
@@ -39,8 +44,6 @@ def render_material() -> bpy.types.Material:
 
 
 def _gaussian_shader(tree: Tree) -> Any:
-    from .node_groups import RENDER_SIGMAS
-
     attribute = tree.node("ShaderNodeAttribute", attribute_type="INSTANCER", attribute_name=names.COLOR)
     geometry = tree.node("ShaderNodeNewGeometry")
     point = tree.out("ShaderNodeTexCoord", "Object")
@@ -55,8 +58,9 @@ def _gaussian_shader(tree: Tree) -> Any:
     ray = tree.vector("NORMALIZE", ray)
     nearest = tree.vector("SUBTRACT", point, tree.scale(ray, tree.vector("DOT_PRODUCT", point, ray)))
     squared = tree.vector("DOT_PRODUCT", nearest, nearest)
-    falloff = tree.math("EXPONENT", tree.math("MULTIPLY", squared, -0.5 * RENDER_SIGMAS**2))
-    alpha = tree.math("MULTIPLY", falloff, tree.output(attribute, "Alpha"))
+    opacity = tree.output(attribute, "Alpha")
+    ratio = tree.math("MULTIPLY", opacity, 1 / FAINTEST)
+    alpha = tree.math("MULTIPLY", opacity, tree.math("POWER", ratio, tree.math("MULTIPLY", squared, -1.0)))
     # A ray meets every sphere twice; only where it enters does the splat count.
     entering = tree.math("SUBTRACT", 1.0, tree.output(geometry, "Backfacing"))
     alpha = tree.math("MULTIPLY", alpha, entering)
@@ -74,4 +78,8 @@ def _new(name: str) -> tuple[bpy.types.Material, Tree | None]:
     material["gskin_material"], material["gskin_version"] = name, VERSION
     material.use_nodes = True
     material.node_tree.nodes.clear()
+    # Millions of tiny lamps would cost Cycles minutes, and nothing is to be lit by them.
+    cycles = getattr(material, "cycles", None)
+    if cycles is not None:
+        cycles.emission_sampling = "NONE"
     return material, Tree(material.node_tree)

@@ -7,19 +7,18 @@ too; in renders they are instances of a sphere whose material fades like the Gau
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import bpy
 
 from . import names
-from .materials import render_material, viewport_material
+from .materials import FAINTEST, render_material, viewport_material
 from .node_builder import Tree, geometry_group, get_input, set_input
 
 VERSION = 1
 
 VIEWPORT_LIMIT = 50_000
-RENDER_SIGMAS = 3.0
-"""Radius of a rendered splat in standard deviations; its opacity there is 1 % of the peak."""
 VIEWPORT_SIGMAS = 1.7
 """Radius of a splat drawn solid: about where a Gaussian stops to hide what is behind it."""
 
@@ -153,10 +152,7 @@ def _build(group: bpy.types.NodeTree) -> None:
         }
         return tree.out("GeometryNodeInstanceOnPoints", "Instances", inputs)
 
-    octahedron = tree.out("GeometryNodeMeshUVSphere", "Mesh", {"Segments": 4, "Rings": 2, "Radius": 1.0})
-    octahedron = tree.out(
-        "GeometryNodeSetMaterial", "Geometry", {"Geometry": octahedron, "Material": viewport_material()}
-    )
+    octahedron = tree.out("GeometryNodeObjectInfo", "Geometry", {"Object": _octahedron()}, transform_space="ORIGINAL")
     # Fewer splats are drawn larger, so that the surface stays closed.
     wider = tree.math("MULTIPLY", tree.math("SQRT", tree.math("MINIMUM", step, 9.0)), VIEWPORT_SIGMAS)
     solid = tree.out(
@@ -165,13 +161,31 @@ def _build(group: bpy.types.NodeTree) -> None:
 
     sphere = tree.out("GeometryNodeMeshIcoSphere", "Mesh", {"Radius": 1.0, "Subdivisions": 2})
     sphere = tree.out("GeometryNodeSetMaterial", "Geometry", {"Geometry": sphere, "Material": render_material()})
-    soft = instances(sphere, RENDER_SIGMAS, True)
+    # The radius, in standard deviations, that `render_material` takes the sphere to have.
+    ratio = tree.math("MAXIMUM", tree.math("MULTIPLY", opacity, 1 / FAINTEST), 1.0)
+    reach = tree.math("SQRT", tree.math("MULTIPLY", tree.math("LOGARITHM", ratio, math.e), 2.0))
+    soft = instances(sphere, reach, tree.math("GREATER_THAN", reach, 0.0))
 
     inputs = {"Switch": in_viewport, "False": soft, "True": solid}
     drawn = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
     inputs = {"Switch": tree.output(source, "Display"), "False": splats, "True": drawn}
     result = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
     tree.node("NodeGroupOutput", {"Geometry": result})
+
+
+def _octahedron() -> bpy.types.Object:
+    """The viewport's shape: a helper in no collection, like the bone frames.
+
+    A primitive node would do but for the colours: Solid mode shows the *active* colour attribute, nodes cannot choose
+    it, and Realize Instances takes the choice from the instanced mesh. The attribute itself comes with the instances.
+    """
+    mesh = bpy.data.meshes.new("GSkin Octahedron")
+    corners = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
+    faces = [(0, 2, 4), (2, 1, 4), (1, 3, 4), (3, 0, 4), (2, 0, 5), (1, 2, 5), (3, 1, 5), (0, 3, 5)]
+    mesh.from_pydata(corners, [], faces)
+    mesh.materials.append(viewport_material())
+    mesh.color_attributes.active_color_name = names.COLOR
+    return bpy.data.objects.new(mesh.name, mesh)
 
 
 def _linear_color(tree: Tree, base: Any) -> Any:

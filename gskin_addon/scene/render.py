@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Settings with which Blender's renderers show splats right, and a still picture for the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+TRANSPARENT_BOUNCES = 256
+"""Splats that a ray may pass in Cycles; Blender's default of 8 turns dense splats dark."""
+
+
+def prepare_scene(scene: bpy.types.Scene) -> None:
+    """Raise the scene's transparency depth to what splats need; nothing else changes."""
+    cycles = getattr(scene, "cycles", None)
+    if cycles is not None:
+        cycles.transparent_max_bounces = max(cycles.transparent_max_bounces, TRANSPARENT_BOUNCES)
+
+
+def render_still(
+    scene: bpy.types.Scene, path: Path, *, size: tuple[int, int] = (512, 512), samples: int = 32
+) -> None:
+    """Render the scene's camera to a PNG with Cycles on the CPU, colours as captured (no tone curve).
+
+    size: (width, height) in pixels. The scene's own settings are put back afterwards.
+    """
+    prepare_scene(scene)
+    render, view, cycles = scene.render, scene.view_settings, scene.cycles
+    wanted = [
+        (render, "engine", "CYCLES"),
+        (render, "resolution_x", size[0]),
+        (render, "resolution_y", size[1]),
+        (render, "resolution_percentage", 100),
+        (render, "filepath", str(path)),
+        (render.image_settings, "file_format", "PNG"),
+        (view, "view_transform", "Standard"),
+        (view, "look", "None"),
+        (cycles, "device", "CPU"),
+        (cycles, "samples", samples),
+        (cycles, "use_denoising", False),
+    ]
+    before = [(owner, key, getattr(owner, key)) for owner, key, _ in wanted]
+    try:
+        for owner, key, value in wanted:
+            setattr(owner, key, value)
+        bpy.ops.render.render(write_still=True, scene=scene.name)
+    finally:
+        for owner, key, value in reversed(before):
+            setattr(owner, key, value)
