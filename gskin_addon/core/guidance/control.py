@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +46,7 @@ def make_signals(
 
 
 def control_points(
-    skeleton: Skeleton, transforms: NDArray[np.floating], camera: Camera
+    skeleton: Skeleton, transforms: NDArray[Any], camera: Camera
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Pixel positions (K, 2) of the joints that the pose displaces: at rest (handles) and posed (targets).
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numba import njit, prange
@@ -42,7 +43,7 @@ class ElasticBody:
     """
 
     def __init__(
-        self, cloud: SplatCloud, distances: NDArray[np.floating], *, nodes: int = 3000
+        self, cloud: SplatCloud, distances: NDArray[Any], *, nodes: int = 3000
     ) -> None:
         """cloud: N splats; distances (N, B): from each splat to each bone, through the body, metres."""
         from scipy import sparse
@@ -74,7 +75,7 @@ class ElasticBody:
         spread = np.maximum(spread, 0)
         return (spread / spread.sum(axis=1, keepdims=True)).astype(np.float32)
 
-    def pose(self, transforms: NDArray[np.floating]) -> Iterator[SplatCloud]:
+    def pose(self, transforms: NDArray[Any]) -> Iterator[SplatCloud]:
         """The cloud in each pose of transforms (P, B, 4, 4)."""
         transforms = np.asarray(transforms, np.float64)
         goal = skin_points(self._rest, self._bone, transforms)

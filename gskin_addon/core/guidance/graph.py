@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +29,8 @@ GAP_RATIO = 2.0
 
 
 def build_graph(
-    means: NDArray[np.floating],
-    distances: NDArray[np.floating],
+    means: NDArray[Any],
+    distances: NDArray[Any],
     count: int = 4000,
     *,
     neighbours: int = 10,
@@ -53,15 +54,13 @@ def build_graph(
     edges = np.stack([np.repeat(np.arange(len(nodes)), k - 1), index[:, 1:].ravel()], axis=1)
     edges = np.unique(np.sort(edges, axis=1), axis=0)
     profile = np.asarray(distances, np.float32)
-    edges = edges[~_gap(points[edges[:, 0]], points[edges[:, 1]], *profile[nodes[edges.T]], pitch)]
+    a, b = edges.T
+    edges = edges[~_gap(points[a], points[b], profile[nodes[a]], profile[nodes[b]], pitch)]
     edges = np.concatenate([edges, _bridges(points, edges)])
 
     distance, anchor = tree.query(means, min(2 * anchors, len(nodes)))
     distance, anchor = distance.reshape(len(means), -1), anchor.reshape(len(means), -1)
-    apart = np.stack(
-        [_gap(means, points[anchor[:, i]], profile, profile[nodes[anchor[:, i]]], pitch) for i in range(anchor.shape[1])],
-        axis=1,
-    )
+    apart = np.stack([_gap(means, points[i], profile, profile[nodes[i]], pitch) for i in anchor.T], axis=1)
     apart[apart.all(axis=1), 0] = False
     ranked = np.argsort(np.where(apart, np.inf, distance), axis=1, kind="stable")[:, : anchors + 1]
     anchor, distance, apart = (np.take_along_axis(a, ranked, 1) for a in (anchor, distance, apart))
@@ -73,10 +72,10 @@ def build_graph(
 
 
 def _gap(
-    a: NDArray[np.floating],
-    b: NDArray[np.floating],
-    profile_a: NDArray[np.floating],
-    profile_b: NDArray[np.floating],
+    a: NDArray[Any],
+    b: NDArray[Any],
+    profile_a: NDArray[Any],
+    profile_b: NDArray[Any],
     pitch: float,
 ) -> NDArray[np.bool_]:
     """Whether the bodies of points a and b (K, 3) are apart, from their distances to all bones (K, B)."""
@@ -84,7 +83,7 @@ def _gap(
     return np.abs(profile_a - profile_b).max(axis=1) > GAP_RATIO * np.maximum(way, pitch)
 
 
-def _even_subset(means: NDArray[np.floating], count: int) -> NDArray[np.int64]:
+def _even_subset(means: NDArray[Any], count: int) -> NDArray[np.int64]:
     """About `count` splats, one per voxel of a grid whose pitch is searched for by halving."""
     if len(means) <= count:
         return np.arange(len(means))

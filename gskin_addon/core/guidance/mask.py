@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,7 +12,7 @@ DIFFERENCE = 0.02
 SMALLEST = 6
 
 
-def dynamic_mask(rest: NDArray[np.floating], posed: NDArray[np.floating]) -> NDArray[np.bool_]:
+def dynamic_mask(rest: NDArray[Any], posed: NDArray[Any]) -> NDArray[np.bool_]:
     """Convex hulls of the connected regions in which two renders differ.
 
     Args:
@@ -42,5 +44,5 @@ def dynamic_mask(rest: NDArray[np.floating], posed: NDArray[np.floating]) -> NDA
     return np.asarray(canvas, dtype=bool) | (changed & (labels > 0) & _large(labels))
 
 
-def _large(labels: NDArray[np.integer]) -> NDArray[np.bool_]:
+def _large(labels: NDArray[Any]) -> NDArray[np.bool_]:
     return np.bincount(labels.ravel())[labels] >= SMALLEST

@@ -41,6 +41,6 @@ class Provider(Protocol):
         """One image (H, W, 3) uint8 sRGB per signal, in order, made as it is asked for."""
 
 
-def to_bytes(image: NDArray[np.floating]) -> NDArray[np.uint8]:
+def to_bytes(image: NDArray[Any]) -> NDArray[np.uint8]:
     """An image in [0, 1] as uint8: 200 guidance images in float32 would be 630 MB."""
     return (np.clip(image, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)

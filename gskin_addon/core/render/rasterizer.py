@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
@@ -39,6 +39,16 @@ class Scene(Protocol):
         self, frame: Any, grad_image: ArrayLike, grad_alpha: ArrayLike | None = None
     ) -> tuple[Array, Array]:
         """Gradients to means (N,3) and quats (N,4)."""
+
+    def render_and_grad_many(
+        self,
+        means: Array,
+        quats: Array,
+        cameras: Sequence[Camera],
+        losses: Sequence[Any],
+        background: ArrayLike = ...,
+    ) -> tuple[NDArray[np.float64], Array, Array]:
+        """Loss values (P,) of P images and gradients to means (P,N,3) and quats (P,N,4)."""
 
     def contribution(self, means: ArrayLike, quats: ArrayLike, camera: Camera) -> Array:
         """Largest blending weight of each splat, (N,)."""

@@ -27,7 +27,7 @@ class BoneSegments:
         names = tuple(f"{i}" for i in range(len(self.bone)))
         return Skeleton(names, np.full(len(names), -1), self.starts, self.ends)
 
-    def nearest(self, distance: NDArray[np.floating]) -> NDArray[np.floating]:
+    def nearest(self, distance: NDArray[np.float32]) -> NDArray[np.float32]:
         """Distances to the segments (N, S) as distances to the bones (N, B): the smallest of each bone."""
         out = np.full((len(distance), int(self.bone.max()) + 1), np.inf, distance.dtype)
         for column, bone in enumerate(self.bone):

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
@@ -38,10 +40,10 @@ def _kernel(rest, posed, nodes, neighbours, losses, grad):  # type: ignore[no-un
 
 
 def arap_loss(
-    rest: NDArray[np.floating],
-    posed: NDArray[np.floating],
-    nodes: NDArray[np.integer],
-    neighbours: NDArray[np.integer],
+    rest: NDArray[Any],
+    posed: NDArray[Any],
+    nodes: NDArray[Any],
+    neighbours: NDArray[Any],
 ) -> tuple[float, NDArray[np.float32]]:
     """ARAP loss (paper, Eq. 10) over some nodes, averaged over the poses, and its gradient.
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -26,7 +27,7 @@ class Coupling:
 
 
 def prepare_coupling(
-    means: NDArray[np.floating], skeleton: Skeleton, *, per_bone: int = 8, neighbours: int = 8
+    means: NDArray[Any], skeleton: Skeleton, *, per_bone: int = 8, neighbours: int = 8
 ) -> Coupling:
     """Sample `per_bone` points inside every bone and find the K_2 = `neighbours` splats nearest to each."""
     from scipy.spatial import cKDTree
@@ -44,7 +45,7 @@ def prepare_coupling(
 
 
 def coupling_loss(
-    coupling: Coupling, posed: torch.Tensor, transforms: NDArray[np.floating]
+    coupling: Coupling, posed: torch.Tensor, transforms: NDArray[Any]
 ) -> torch.Tensor:
     """L_couple (Sec. III-D), averaged over P poses; posed (P, N, 3), transforms (P, B, 4, 4)."""
     matrix = torch.as_tensor(transforms[:, coupling.bone], dtype=posed.dtype)

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -23,8 +25,8 @@ class SparsePyramid(torch.nn.Module):
 
     def __init__(
         self,
-        points: NDArray[np.floating],
-        initial: NDArray[np.floating],
+        points: NDArray[Any],
+        initial: NDArray[Any],
         resolutions: tuple[int, ...] = PYRAMID,
     ) -> None:
         """points (N, 3) in any unit; initial (N, B) weights with rows that sum to 1."""
@@ -48,7 +50,9 @@ class SparsePyramid(torch.nn.Module):
 
     def forward(self) -> torch.Tensor:
         """Weights (N, B) of the splats, rows sum to 1."""
-        residual: torch.Tensor = _SparseProduct.apply(self.theta, self._matrix, self._transposed)
+        residual: torch.Tensor = _SparseProduct.apply(  # type: ignore[no-untyped-call]
+            self.theta, self._matrix, self._transposed
+        )
         return torch.softmax(self._prior + residual, dim=1)
 
 
@@ -65,7 +69,7 @@ class _SparseProduct(torch.autograd.Function):
         return ctx.transposed @ grad, None, None
 
 
-def trilinear_matrix(points: NDArray[np.floating], resolutions: tuple[int, ...]):  # type: ignore[no-untyped-def]
+def trilinear_matrix(points: NDArray[Any], resolutions: tuple[int, ...]):  # type: ignore[no-untyped-def]
     """Interpolation weights of every point on every level, columns only for corners that are touched.
 
     Returns a scipy CSR matrix (N, corners) with 8 values per level in each row, and the number of corners.

@@ -16,7 +16,9 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from ..rig.segments import bone_segments
 from ..rig.skeleton import Skeleton
+from ..splats.cloud import SplatCloud
 from .visibility import closest_on_segment
 from .voxels import VoxelGrid, voxelize
 
@@ -63,6 +65,23 @@ def geodesic_distances(
         out[:, block] = part
     out *= np.float32(grid.pitch)
     return out
+
+
+def body_distances(cloud: SplatCloud, skeleton: Skeleton, resolution: int = 96) -> Array:
+    """Distances (N, B) float32, metres, from splats through the body to what each bone really spans.
+
+    As `geodesic_distances`, but to the segments of `bone_segments`: importers invent tails.
+    """
+    segments = bone_segments(skeleton)
+    distances = geodesic_distances(
+        cloud.means,
+        cloud.opacities,
+        segments.skeleton(),
+        resolution,
+        scales=cloud.scales,
+        quats=cloud.quats,
+    )
+    return segments.nearest(distances)
 
 
 def _nearest_solid(solid: Array, ids: Array) -> tuple[Array, Array]:

@@ -89,15 +89,19 @@ def initial_weights_geodesic(
     scales: Array | None = None,
     quats: Array | None = None,
 ) -> Array:
-    """Eq. 7 on geodesic distances through the filled splats (Dionne & de Lasa 2013); see
-    `geodesic_distances`.
+    """Eq. 7 on geodesic distances through the filled splats (Dionne & de Lasa 2013) to what the bones span;
+    see `geodesic_distances` and `bone_segments`.
 
     Returns (N, B) float32, rows sum to 1.
     """
+    from ..rig.segments import bone_segments
     from .geodesic import geodesic_distances
 
     _, diagonal = unit_frame(means)
-    distance = geodesic_distances(means, opacities, skeleton, resolution, scales=scales, quats=quats)
+    segments = bone_segments(skeleton)
+    distance = segments.nearest(
+        geodesic_distances(means, opacities, segments.skeleton(), resolution, scales=scales, quats=quats)
+    )
     return falloff_weights(np.square(distance / diagonal), gamma, sharpness)
 
 

@@ -19,8 +19,8 @@ from ..rig.skeleton import Skeleton
 from ..splats.cloud import SplatCloud
 from .arap import arap_loss
 from .coupling import coupling_loss, prepare_coupling
-from .presets import Preset
 from .posing import pose_splats
+from .presets import Preset
 
 NEIGHBOURS = 30  # the paper's K_1
 ARAP_NODES = 2000
@@ -96,12 +96,12 @@ class Optimiser:
         transforms = np.stack([self.targets[i].transforms for i in batch])
         weights = self.field()
         means, quats = pose_splats(self._means, self._quats, weights, transforms)
-        render = _Render.apply(means, quats, self, batch, size)
+        render: torch.Tensor = _Render.apply(means, quats, self, batch, size)  # type: ignore[no-untyped-call]
         coupling = coupling_loss(self._coupling, means, transforms)
         arap = self._arap(means)
         loss = render + self.losses.arap * arap + self.losses.coupling * coupling
         self._adam.zero_grad()
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         self._adam.step()
         self.iteration += 1
         return {"render": float(render), "arap": float(arap), "coupling": float(coupling)}
@@ -199,7 +199,8 @@ class Optimiser:
     def _arap(self, means: torch.Tensor) -> torch.Tensor:
         count = means.shape[1]
         nodes = self._rng.choice(count, min(ARAP_NODES, count), replace=False)
-        result: torch.Tensor = _Arap.apply(means, self._means, nodes, self._neighbours[nodes])
+        near = self._neighbours[nodes]
+        result: torch.Tensor = _Arap.apply(means, self._means, nodes, near)  # type: ignore[no-untyped-call]
         return result / self._edge_square
 
 

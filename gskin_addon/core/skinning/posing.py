@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
+
 import torch
 from numpy.typing import NDArray
 
@@ -27,7 +28,7 @@ def quat_multiply(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
 
 
 def pose_splats(
-    means: torch.Tensor, quats: torch.Tensor, weights: torch.Tensor, transforms: NDArray[np.floating]
+    means: torch.Tensor, quats: torch.Tensor, weights: torch.Tensor, transforms: NDArray[Any]
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Splats under P poses; the same numbers as `rig.lbs.skin_points` and `skin_quats`.
 

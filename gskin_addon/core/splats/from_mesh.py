@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,9 +15,9 @@ _SH_C0 = 0.28209479177387814
 
 
 def sample_mesh(
-    verts: NDArray[np.floating],
-    faces: NDArray[np.integer],
-    corner_rgb: NDArray[np.floating],
+    verts: NDArray[Any],
+    faces: NDArray[Any],
+    corner_rgb: NDArray[Any],
     count: int,
     rng: np.random.Generator,
     *,

@@ -17,18 +17,17 @@ from numpy.typing import NDArray
 from ..guidance import create_provider
 from ..guidance.control import ControlSignal, make_signals
 from ..guidance.provider import GuidanceContext
-from ..render.camera import Camera, paper_views, percentile_bounds
+from ..render.camera import paper_views, percentile_bounds
 from ..render.rasterizer import render_cloud
 from ..rig.lbs import sparsify
-from ..rig.segments import bone_segments
 from ..rig.skeleton import Skeleton
 from ..skinning.extent import unit_frame
 from ..skinning.field import SparsePyramid
-from ..skinning.geodesic import geodesic_distances
+from ..skinning.geodesic import body_distances
 from ..skinning.initial import initial_weights
 from ..skinning.optimise import LossWeights, Optimiser, Target
 from ..skinning.presets import preset_by_name
-from ..skinning.subset import SplatSubset, choose_subset
+from ..skinning.subset import choose_subset
 from ..splats.cloud import SplatCloud
 from .previews import preview_images
 from .progress import Progress
@@ -46,7 +45,7 @@ class Outcome:
 
     weights: NDArray[np.float32]
     report: dict[str, Any]
-    previews: dict[str, NDArray[np.floating]]
+    previews: dict[str, NDArray[Any]]
 
 
 def run(
@@ -77,7 +76,7 @@ def run(
     initial_whole = initial_weights(chosen.init, whole, skeleton, masks, cameras)
     initial = initial_whole[subset.index]
     progress("initial", 0.04, {}, "Distances through the body")
-    distances = _bone_distances(subset.cloud, skeleton)
+    distances = body_distances(subset.cloud, skeleton)
     clock.lap("initial")
 
     progress("guidance", INITIAL_END, {}, "Guidance images")
@@ -140,15 +139,6 @@ def _to_unit_size(cloud: SplatCloud, skeleton: Skeleton) -> tuple[SplatCloud, Sk
         stored={},
     )
     return moved, skeleton.moved(np.eye(3), 1.0 / diagonal, -centre / diagonal)
-
-
-def _bone_distances(cloud: SplatCloud, skeleton: Skeleton) -> NDArray[np.float32]:
-    """Distances (N, B) through the body to the segments that the bones really span."""
-    segments = bone_segments(skeleton)
-    distances = geodesic_distances(
-        cloud.means, cloud.opacities, segments.skeleton(), scales=cloud.scales, quats=cloud.quats
-    )
-    return segments.nearest(distances).astype(np.float32)
 
 
 def _make_guidance(provider: Any, signals: Sequence[ControlSignal], progress: Progress) -> list[Target]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,15 +19,15 @@ from ..rig.skeleton import Skeleton
 from ..skinning.optimise import Target
 from ..splats.cloud import SH_C0, SplatCloud
 
-Image = NDArray[np.floating]
+Image = NDArray[Any]
 _HANDLE, _TARGET = (0.1, 0.3, 1.0), (1.0, 0.15, 0.1)
 
 
 def preview_images(
     cloud: SplatCloud,
     skeleton: Skeleton,
-    initial: NDArray[np.floating],
-    weights: NDArray[np.floating],
+    initial: NDArray[Any],
+    weights: NDArray[Any],
     cameras: Sequence[Camera],
     signals: Sequence[ControlSignal],
     targets: Sequence[Target],
@@ -49,7 +50,7 @@ def preview_images(
 
 
 def weight_colors(
-    cloud: SplatCloud, weights: NDArray[np.floating], skeleton: Skeleton
+    cloud: SplatCloud, weights: NDArray[Any], skeleton: Skeleton
 ) -> SplatCloud:
     """The cloud with every splat in the blend of its bones' colours (distinct hues, golden-angle steps)."""
     import colorsys
@@ -62,7 +63,7 @@ def weight_colors(
     return replace(cloud, sh=((color - 0.5) / SH_C0)[:, None, :].astype(np.float32))
 
 
-def draw_points(image: Image, handles: NDArray[np.floating], targets: NDArray[np.floating]) -> Image:
+def draw_points(image: Image, handles: NDArray[Any], targets: NDArray[Any]) -> Image:
     """A copy of the image with handle points blue, target points red, as in the paper's figures."""
     out = np.array(image)
     height, width = out.shape[:2]
