@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
 import bpy
-import mathutils
 import numpy as np
 from numpy.typing import NDArray
+
+from gskin_addon.scene.posing import turn_bones
 
 from .shapes import Mesh
 from .skeleton import Turns, bones
@@ -124,26 +125,17 @@ def baked_openness(mesh: Mesh, samples: int) -> Array:
     return values.reshape(-1, 4)[:, 0].astype(float)
 
 
-def turn_bones(rig: Any, turns: Turns, frame: int | None = None) -> None:
-    """Rotate pose bones by world-axis rotation vectors (degrees), all others rest; key them at `frame`."""
-    for bone in rig.pose.bones:
-        bone.rotation_mode = "QUATERNION"
-        vector = mathutils.Vector(np.radians(turns.get(bone.name, (0.0, 0.0, 0.0))).tolist())
-        world = (
-            mathutils.Quaternion(vector.normalized(), vector.length)
-            if vector.length
-            else mathutils.Quaternion()
-        )
-        rest = bone.bone.matrix_local.to_quaternion()
-        bone.rotation_quaternion = rest.inverted() @ world @ rest
-        if frame is not None and bone.bone.use_deform:
-            bone.keyframe_insert("rotation_quaternion", frame=frame, group=bone.name)
-
-
-def save_blend(path: Path) -> None:
-    """Save the scene without compression surprises or backup copies."""
-    bpy.context.preferences.filepaths.save_version = 0
-    bpy.ops.wm.save_as_mainfile(filepath=str(path), check_existing=False, copy=True)
+def add_action(rig: Any, name: str, frames: int, turns_at: Callable[[float], Turns]) -> None:
+    """Key a looping action of `frames` frames on the armature; `turns_at(phase)` with phase in 0..1."""
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end = 1, frames
+    for frame in range(1, frames + 2, 3):  # every third: Blender's curves are smooth in between
+        for bone in rig.pose.bones:
+            bone.rotation_mode = "QUATERNION"
+            bone.rotation_quaternion = (1, 0, 0, 0)
+        turn_bones(rig, turns_at((frame - 1) / frames), frame)
+    rig.animation_data.action.name = name
+    scene.frame_set(1)
 
 
 def _only(thing: Any) -> None:

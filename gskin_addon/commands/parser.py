@@ -122,7 +122,7 @@ def _pose(commands: Any) -> None:
         type=Path,
         required=True,
         metavar="OUT",
-        help="what to write: .blend, or .ply with posed splats",
+        help="what to write: .blend, .glb, or .ply with posed splats",
     )
     _posing(pose)
     _common(pose)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`gskin pose`: rigged splats in another pose, as .blend or as posed .ply."""
+"""`gskin pose`: rigged splats in another pose, as .blend or posed .ply; or as .glb with their actions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def run(options: argparse.Namespace) -> None:
     """Do it. Raises InputError for what cannot be used."""
-    check_output(options.out, "--out", (".blend", ".ply"))
+    check_output(options.out, "--out", (".blend", ".glb", ".ply"))
     if same_file(options.source, options.out):
         raise InputError(f"--out '{options.out}' would overwrite its own input; choose another name.")
     obj = open_posed(options)
@@ -27,6 +27,10 @@ def run(options: argparse.Namespace) -> None:
 
     if options.out.suffix.lower() == ".ply":
         write_ply(options.out, posed_cloud(obj))
+    elif options.out.suffix.lower() == ".glb":
+        from ..scene.gltf_export import export_glb
+
+        export_glb(options.out, [obj])
     else:
         rig_files.save_blend(options.out)
     say(f"'{obj.name}' is posed in '{options.out}'.")
