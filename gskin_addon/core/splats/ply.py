@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..errors import GSkinError, InputError
 from . import ply_codec as codec
 from .cloud import AnyArray, SplatCloud
+from .ply_compressed import is_compressed, read_compressed
 from .ply_header import FORMATS, TYPE_NAMES, Element, Header, format_header, read_header
 
 _CHUNK = 8192
@@ -42,7 +43,8 @@ class PlySplats:
 
 
 def read_ply(path: str | os.PathLike[str], *, drop_invalid: bool = False) -> PlySplats:
-    """Read a Gaussian splat .ply file (INRIA layout, any property order, SH degree 0-4, ascii or binary).
+    """Read a Gaussian splat .ply file: INRIA layout (any property order, SH degree 0-4, ascii or binary), or
+    the compressed layout of PlayCanvas and SuperSplat.
 
     Properties that are not part of the layout are kept in `cloud.extra`. Splats with NaN, infinite values or
     a quaternion of norm 0 are left out with `drop_invalid`, otherwise they are an error.
@@ -54,21 +56,25 @@ def read_ply(path: str | os.PathLike[str], *, drop_invalid: bool = False) -> Ply
     try:
         with path.open("rb") as file:
             header = read_header(file, path)
-            vertex, rest = _splat_element(header, path)
-            cloud, valid = _read_splats(file, header, vertex, rest, path)
+            if is_compressed(header):
+                cloud, valid = read_compressed(file, header, path)
+            else:
+                vertex, rest = _splat_element(header, path)
+                cloud, valid = _read_splats(file, header, vertex, rest, path)
     except OSError as error:
         raise InputError(f"{path} cannot be read ({error.strerror or error}); check the path.") from error
-    bad = vertex.count - int(np.count_nonzero(valid))
-    if bad == vertex.count:
+    total = cloud.count
+    bad = total - int(np.count_nonzero(valid))
+    if bad == total:
         raise InputError(f"{path}: all {bad} splats have {_INVALID}; export it again.")
     if bad and not drop_invalid:
         raise InputError(
-            f"{path}: {bad} of {vertex.count} splats have {_INVALID}; "
+            f"{path}: {bad} of {total} splats have {_INVALID}; "
             "read it with drop_invalid=True (--drop-invalid) to leave them out."
         )
     if bad:
-        return PlySplats(cloud.select(valid), np.flatnonzero(valid), vertex.count)
-    return PlySplats(cloud, np.arange(vertex.count), vertex.count)
+        return PlySplats(cloud.select(valid), np.flatnonzero(valid), total)
+    return PlySplats(cloud, np.arange(total), total)
 
 
 def write_ply(path: str | os.PathLike[str], cloud: SplatCloud, *, fmt: str = "binary_little_endian") -> None:

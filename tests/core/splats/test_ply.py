@@ -46,9 +46,7 @@ def reference(columns: dict[str, np.ndarray]) -> SplatCloud:
 
 def assert_same(cloud: SplatCloud, expected: SplatCloud, rtol: float = 3e-7) -> None:
     for name in ("means", "quats", "scales", "opacities", "sh"):
-        np.testing.assert_allclose(
-            getattr(cloud, name), getattr(expected, name), rtol=rtol, atol=1e-30, err_msg=name
-        )
+        np.testing.assert_allclose(getattr(cloud, name), getattr(expected, name), rtol=rtol, atol=1e-30, err_msg=name)
 
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -61,9 +59,7 @@ def assert_same(cloud: SplatCloud, expected: SplatCloud, rtol: float = 3e-7) -> 
     doubles=st.booleans(),
     random=st.randoms(use_true_random=False),
 )
-def test_any_layout_reads_and_rewrites_the_stored_bits(
-    tmp_path, degree, fmt, count, normals, extras, doubles, random
-):
+def test_any_layout_reads_and_rewrites_the_stored_bits(tmp_path, degree, fmt, count, normals, extras, doubles, random):
     columns = clouds.raw_columns(count, degree, seed=random.randrange(10**6))
     if not normals:
         columns = {name: column for name, column in columns.items() if name not in ("nx", "ny", "nz")}
@@ -76,9 +72,7 @@ def test_any_layout_reads_and_rewrites_the_stored_bits(
     names = list(columns)
     random.shuffle(names)
     text, order = TEXT_AND_ORDER[fmt]
-    path = clouds.write_columns(
-        tmp_path / "in.ply", {n: columns[n] for n in names}, text=text, byte_order=order
-    )
+    path = clouds.write_columns(tmp_path / "in.ply", {n: columns[n] for n in names}, text=text, byte_order=order)
 
     splats = read_ply(path)
     assert splats.total == splats.cloud.count == count
@@ -125,9 +119,7 @@ def test_selected_splats_keep_their_bits(tmp_path):
 
 def test_turned_cloud_keeps_the_bits_that_do_not_turn(tmp_path):
     columns = clouds.raw_columns(60, 1)
-    cloud = rotate_cloud(
-        read_ply(clouds.write_columns(tmp_path / "in.ply", columns)).cloud, up_rotation("-y")
-    )
+    cloud = rotate_cloud(read_ply(clouds.write_columns(tmp_path / "in.ply", columns)).cloud, up_rotation("-y"))
     write_ply(tmp_path / "out.ply", cloud)
     written = clouds.read_columns(tmp_path / "out.ply")
     for name in ("opacity", "scale_0", "f_dc_2"):
@@ -147,9 +139,7 @@ def test_cloud_that_came_from_no_file(tmp_path):
     opacities, scales = cloud.opacities.copy(), cloud.scales.copy()
     opacities[:2] = 0.0, 1.0
     scales[0] = 0.0
-    cloud = replace(
-        cloud, opacities=opacities, scales=scales, extra={"group": np.arange(300, dtype=np.int64)}
-    )
+    cloud = replace(cloud, opacities=opacities, scales=scales, extra={"group": np.arange(300, dtype=np.int64)})
     write_ply(tmp_path / "out.ply", cloud)
     again = read_ply(tmp_path / "out.ply").cloud
     assert_same(again, cloud, rtol=3e-6)
@@ -179,9 +169,7 @@ def test_windows_line_ends_and_comments(tmp_path):
 
 def test_base_colors_and_bounds():
     cloud = clouds.random_cloud(100, 1)
-    np.testing.assert_allclose(
-        cloud.base_colors(), np.clip(0.5 + 0.28209479 * cloud.sh[:, 0], 0, 1), atol=1e-6
-    )
+    np.testing.assert_allclose(cloud.base_colors(), np.clip(0.5 + 0.28209479 * cloud.sh[:, 0], 0, 1), atol=1e-6)
     lower, upper = cloud.bounds()
     assert (cloud.means >= lower).all()
     assert (cloud.means <= upper).all()
@@ -211,9 +199,7 @@ def test_real_files_are_rewritten_byte_for_byte(tmp_path, name):
     write_ply(tmp_path / "out.ply", cloud)
     before, after = clouds.read_columns(path), clouds.read_columns(tmp_path / "out.ply")
     for column in before:
-        np.testing.assert_array_equal(
-            after[column].view(np.uint32), before[column].view(np.uint32), err_msg=column
-        )
+        np.testing.assert_array_equal(after[column].view(np.uint32), before[column].view(np.uint32), err_msg=column)
 
 
 def test_more_than_five_million_splats(tmp_path):
@@ -224,9 +210,7 @@ def test_more_than_five_million_splats(tmp_path):
     block = np.stack([columns[name] for name in names], axis=1).tobytes()
     path = tmp_path / "huge.ply"
     with path.open("wb") as file:
-        file.write(
-            f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n{header}end_header\n".encode()
-        )
+        file.write(f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n{header}end_header\n".encode())
         for _ in range(5000):
             file.write(block)
         file.write(block[: 4 * len(names)])

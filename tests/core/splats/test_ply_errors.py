@@ -63,15 +63,11 @@ def test_bad_header(tmp_path, header, expected):
 
 
 def test_mesh_and_point_cloud(tmp_path):
-    vertex = plyfile.PlyElement.describe(
-        np.zeros(3, [("x", "f4"), ("y", "f4"), ("z", "f4"), ("red", "u1")]), "vertex"
-    )
+    vertex = plyfile.PlyElement.describe(np.zeros(3, [("x", "f4"), ("y", "f4"), ("z", "f4"), ("red", "u1")]), "vertex")
     face = np.empty(1, [("vertex_indices", object)])
     face[0] = ([0, 1, 2],)
     path = tmp_path / "mesh.ply"
-    plyfile.PlyData(
-        [vertex, plyfile.PlyElement.describe(face, "face", val_types={"vertex_indices": "i4"})]
-    ).write(path)
+    plyfile.PlyData([vertex, plyfile.PlyElement.describe(face, "face", val_types={"vertex_indices": "i4"})]).write(path)
     assert "is a mesh, not Gaussian splats" in message(path)
     plyfile.PlyData([vertex]).write(path)
     assert "is a point cloud, not Gaussian splats" in message(path)
@@ -87,9 +83,7 @@ def test_missing_properties_are_named(tmp_path, columns, gone):
 
 def test_partial_band(tmp_path, columns):
     del columns["f_rest_8"]
-    assert "8 f_rest properties, not 0, 9, 24, 45, 72" in message(
-        clouds.write_columns(tmp_path / "in.ply", columns)
-    )
+    assert "8 f_rest properties, not 0, 9, 24, 45, 72" in message(clouds.write_columns(tmp_path / "in.ply", columns))
 
 
 def test_list_property_in_the_vertices(tmp_path, columns):
