@@ -18,9 +18,9 @@ from .node_builder import Tree, geometry_group, get_input, set_input
 
 VERSION = 1
 
-VIEWPORT_LIMIT = 50_000
-VIEWPORT_SIGMAS = 1.7
-"""Radius of a splat drawn solid: about where a Gaussian stops to hide what is behind it."""
+VIEWPORT_LIMIT = 100_000
+VIEWPORT_SIGMAS = 1.5
+"""Radius of an opaque splat drawn solid, in standard deviations: about where it stops to hide what is behind it."""
 
 _SH_C0 = 0.28209479177387814
 
@@ -48,7 +48,7 @@ _INPUTS: list[tuple[str, str, dict[str, Any]]] = [
         "Minimum Opacity",
         "NodeSocketFloat",
         {
-            "default_value": 0.1,
+            "default_value": 0.25,
             "min_value": 0.0,
             "max_value": 1.0,
             "subtype": "FACTOR",
@@ -155,6 +155,8 @@ def _build(group: bpy.types.NodeTree) -> None:
     octahedron = tree.out("GeometryNodeObjectInfo", "Geometry", {"Object": _octahedron()}, transform_space="ORIGINAL")
     # Fewer splats are drawn larger, so that the surface stays closed.
     wider = tree.math("MULTIPLY", tree.math("SQRT", tree.math("MINIMUM", step, 9.0)), VIEWPORT_SIGMAS)
+    # Solid shapes cannot be faint; small ones show as little as a faint splat does.
+    wider = tree.math("MULTIPLY", wider, opacity)
     solid = tree.out(
         "GeometryNodeRealizeInstances", "Geometry", {"Geometry": instances(octahedron, wider, visible)}
     )

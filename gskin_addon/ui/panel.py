@@ -19,7 +19,7 @@ class GSKIN_PT_main(bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
-        layout.operator("gskin.import_ply", icon="IMPORT")
+        layout.operator("gskin.import_splats", icon="IMPORT")
 
         settings = context.scene.gskin
         column = layout.column()

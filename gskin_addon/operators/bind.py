@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Weights from elsewhere: from a file, from vertex groups that are there, from the artist's brush."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy_extras.io_utils import ImportHelper
+
+from ..core.errors import GSkinError
+from ..core.worker.contract import read_weights as read_weights_file
+from ..scene.bone_frames import armature_of
+from ..scene.weights import bind, update_rotation_weights, write_weights
+from ..ui.properties import chosen_armature, chosen_splats
+
+
+class GSKIN_OT_load_weights(bpy.types.Operator, ImportHelper):
+    """Bind the splats to the armature with skinning weights from an .npz file"""
+
+    bl_idname = "gskin.load_weights"
+    bl_label = "Load Splat Weights (.npz)"
+    bl_options = {"REGISTER", "UNDO"}
+
+    filename_ext = ".npz"
+    filter_glob: bpy.props.StringProperty(default="*.npz", options={"HIDDEN"})
+    max_influences: bpy.props.IntProperty(
+        name="Max Influences", description="The most bones that move one splat", default=4, min=1, max=4
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _has_both(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        splats, armature = chosen_splats(context), chosen_armature(context)
+        try:
+            result = read_weights_file(Path(self.filepath))
+            write_weights(splats, armature, result.weights, result.bones, max_influences=self.max_influences)
+        except GSkinError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        words = f"{len(result.weights):,} splats follow {len(result.bones)} bones of '{armature.name}'"
+        self.report({"INFO"}, words)
+        return {"FINISHED"}
+
+
+class GSKIN_OT_bind_to_armature(bpy.types.Operator):
+    """Let the splats follow the armature with the vertex groups that they have"""
+
+    bl_idname = "gskin.bind_to_armature"
+    bl_label = "Bind Splats to Armature"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _has_both(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        splats, armature = chosen_splats(context), chosen_armature(context)
+        try:
+            bind(splats, armature)
+            update_rotation_weights(splats)
+        except GSkinError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+class GSKIN_OT_update_rotation_weights(bpy.types.Operator):
+    """Take changed vertex groups over into the rotation of the splats. Leaving Weight Paint does it by itself"""
+
+    bl_idname = "gskin.update_rotation_weights"
+    bl_label = "Update Splat Rotation Weights"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        splats = chosen_splats(context)
+        if splats is None or armature_of(splats) is None:
+            cls.poll_message_set("Select splats that follow an armature")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            update_rotation_weights(chosen_splats(context))
+        except GSkinError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+def _has_both(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    if chosen_splats(context) is None:
+        operator.poll_message_set("Select a splat object; import one with File > Import > Gaussian Splats")
+        return False
+    if chosen_armature(context) is None:
+        operator.poll_message_set("Select the armature along with the splats")
+        return False
+    return True
+
+
+CLASSES = (GSKIN_OT_load_weights, GSKIN_OT_bind_to_armature, GSKIN_OT_update_rotation_weights)
