@@ -36,9 +36,7 @@ def make_armature(name: str) -> Any:
         bone = armature.edit_bones.new(bone_name)
         bone.head, bone.tail = head, tail
         bone.parent = armature.edit_bones[parent]
-        bone.align_roll(
-            (0, -1, 0) if abs(tail[2] - head[2]) > 0.6 * np.linalg.norm(tail - head) else (0, 0, 1)
-        )
+        bone.align_roll((0, -1, 0) if abs(tail[2] - head[2]) > 0.6 * np.linalg.norm(tail - head) else (0, 0, 1))
     bpy.ops.object.mode_set(mode="OBJECT")
     return rig
 

@@ -74,9 +74,7 @@ def to_splats(character: Character, count: int, seed: int) -> tuple[SplatCloud, 
     rng = np.random.default_rng(seed)
     c = character
     corners = c.verts[c.faces]
-    area = 0.5 * np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     eyes = c.part[c.faces[:, 0]] == c.parts.index("eyes")
     face = ~eyes & (corners[:, :, 2].mean(1) > 1.12)
     regions = [(eyes, 4.0), (face, 1.8), (~eyes & ~face, 1.0)]

@@ -74,9 +74,7 @@ def paint_body(p: Array) -> Array:
     spade = (y > 0.70) & (z > 0.66)
     rgb = np.where(spade[:, None], mix(np.broadcast_to(EMBER, p.shape), FLAME, step(z, 0.68, 0.84)), rgb)
     arm_ring = np.sin((side - 0.02 * y) * 2 * np.pi / 0.062 + noise(p, 16, 6))
-    rgb = mix(
-        rgb, SKIN_DARK, step(arm_ring, 0.35, 0.7) * (side > 0.25) * (side < 0.47) * (z < 1.05) * (z > 0.6)
-    )
+    rgb = mix(rgb, SKIN_DARK, step(arm_ring, 0.35, 0.7) * (side > 0.25) * (side < 0.47) * (z < 1.05) * (z > 0.6))
 
     # Face: pale muzzle and cheeks, nose, mouth, blush, brows.
     front = y < -0.02
@@ -101,9 +99,7 @@ def paint_body(p: Array) -> Array:
     sleeve = side - 0.6 * (0.97 - z)
     torso = (z > 0.55) & (z < 1.09) & (sleeve < 0.155) & (y < 0.135)
     weave = 0.5 + 0.5 * np.sin(z * 2 * np.pi / 0.04) * (1 - step(side, 0.16, 0.17))
-    cloth = mix(
-        np.broadcast_to(TUNIC, p.shape), TUNIC_DARK, 0.30 * step(weave, 0.55, 0.9) + 0.18 * noise(p, 40, 8)
-    )
+    cloth = mix(np.broadcast_to(TUNIC, p.shape), TUNIC_DARK, 0.30 * step(weave, 0.55, 0.9) + 0.18 * noise(p, 40, 8))
     turn = np.arctan2(x, -(y - 0.015))
     diamond = np.abs((turn / (2 * np.pi) * 20) % 1 - 0.5) * 2 + np.abs(z - 0.845) / 0.032
     cloth = mix(cloth, PLUM, step(1.05 - diamond, 0, 0.2))
@@ -114,9 +110,7 @@ def paint_body(p: Array) -> Array:
     # Gloves without fingers and laced boots.
     wrist = side - 0.35 * (z - 0.70)
     glove = (wrist > 0.485) & (z < 0.80) & (z > 0.55) & (side < 0.595 - 0.25 * (z - 0.66))
-    rgb = np.where(
-        glove[:, None], mix(np.broadcast_to(LEATHER, p.shape), TUNIC_DARK, 0.5 + 0.5 * noise(p, 30, 9)), rgb
-    )
+    rgb = np.where(glove[:, None], mix(np.broadcast_to(LEATHER, p.shape), TUNIC_DARK, 0.5 + 0.5 * noise(p, 30, 9)), rgb)
     rgb = mix(rgb, GOLD, (step(0.008 - np.abs(wrist - 0.494), 0, 0.004)) * glove)
     boot = (z < 0.225) & (y < 0.2)
     boots = mix(np.broadcast_to(LEATHER, p.shape), INK, 0.35 + 0.5 * noise(p, 22, 10))

@@ -19,6 +19,8 @@ from gskin_addon.core.rig.lbs import skin_cloud
 from gskin_addon.core.splats.cloud import SH_C0, SplatCloud
 
 Array = NDArray[np.floating]
+# A standing figure fills little of the box that holds its every turn.
+ZOOM = 1.2
 PAPER, INK = (0.965, 0.955, 0.935), (52, 47, 58)
 
 
@@ -29,7 +31,7 @@ def contact_sheet(
     azimuths: Sequence[float],
     cell: int,
 ) -> Image.Image:
-    """A row per pose: the splats at rest, then posed with each of `weights`; poses are transforms (B, 4, 4)."""
+    """A row per pose: splats at rest, then posed with each of `weights`; poses are transforms (B, 4, 4)."""
     rows = []
     for transforms, azimuth in zip(poses.values(), azimuths, strict=True):
         camera = _camera(cloud, azimuth, cell, margin=0.03)
@@ -59,9 +61,7 @@ def animation(
     for frame in range(frames):
         phase = frame / frames
         camera = _camera(cloud, 30.0 + 360.0 * phase, size, margin=0.02)
-        pictures.append(
-            _to_image(_picture(skin_cloud(cloud, weights, transforms_at(2 * phase % 1.0)), camera))
-        )
+        pictures.append(_to_image(_picture(skin_cloud(cloud, weights, transforms_at(2 * phase % 1.0)), camera)))
     return pictures
 
 
@@ -97,9 +97,9 @@ def _camera(cloud: SplatCloud, azimuth: float, size: int, margin: float) -> Came
     lower, upper = percentile_bounds(cloud.means, 0.0)
     # Framed on a box that is as deep as the figure is wide, so that turning changes nothing.
     middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
-    half[:2] = 0.55 * half[:2].max() + 0.45 * half[:2].min()
+    half[:2] = half[:2].max()
     (camera,) = orbit_views(middle - half, middle + half, size, [azimuth], elevation=6.0, margin=margin)
-    return camera
+    return replace(camera, fx=ZOOM * camera.fx, fy=ZOOM * camera.fy)
 
 
 def _picture(cloud: SplatCloud, camera: Camera) -> Array:

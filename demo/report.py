@@ -91,13 +91,11 @@ def score(
 def table(scores: dict[str, Score]) -> str:
     """Initial against learned, as text."""
     first, last = scores["initial"], scores["learned"]
-    fall = 100 * (1 - last.position / first.position)
-    return "\n".join(
-        [
-            f"{'against the true weights':<34}{'initial':>10}{'learned':>10}",
-            f"{'position error, % of size':<34}{first.position:>10.3f}{last.position:>10.3f}   ({-fall:+.0f} %)",
-            f"{'PSNR of posed pictures, dB':<34}{first.psnr:>10.2f}{last.psnr:>10.2f}"
-            f"   ({last.psnr - first.psnr:+.2f})",
-            f"{'SSIM of posed pictures':<34}{first.ssim:>10.4f}{last.ssim:>10.4f}   ({last.ssim - first.ssim:+.4f})",
-        ]
-    )
+    change = 100 * (last.position / first.position - 1)
+    rows = [
+        ("against the true weights", "initial", "learned", ""),
+        ("position error, % of size", f"{first.position:.3f}", f"{last.position:.3f}", f"({change:+.0f} %)"),
+        ("PSNR of posed pictures, dB", f"{first.psnr:.2f}", f"{last.psnr:.2f}", f"({last.psnr - first.psnr:+.2f})"),
+        ("SSIM of posed pictures", f"{first.ssim:.4f}", f"{last.ssim:.4f}", f"({last.ssim - first.ssim:+.4f})"),
+    ]
+    return "\n".join(f"{a:<32}{b:>10}{c:>10}   {d}".rstrip() for a, b, c, d in rows)

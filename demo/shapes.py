@@ -32,9 +32,7 @@ def ellipsoid(center: ArrayLike, radii: ArrayLike, rings: int = 24, segments: in
     turn = np.linspace(0, 2 * np.pi, segments, endpoint=False)
     ring = np.stack([np.cos(turn), np.sin(turn), np.zeros(segments)], axis=1)
     grid = ring[None] * profile[:, 0, None, None] + np.array([0, 0, 1.0]) * profile[:, 1, None, None]
-    return grid.reshape(-1, 3) * np.asarray(radii, float) + np.asarray(center, float), _tube_faces(
-        rings + 1, segments
-    )
+    return grid.reshape(-1, 3) * np.asarray(radii, float) + np.asarray(center, float), _tube_faces(rings + 1, segments)
 
 
 def smooth_line(points: ArrayLike, steps: int) -> Array:
@@ -44,9 +42,7 @@ def smooth_line(points: ArrayLike, steps: int) -> Array:
     t = np.linspace(0, 1, steps, endpoint=False)[:, None]
     rows = []
     for a, b, c, d in zip(padded, padded[1:], padded[2:], padded[3:], strict=False):
-        rows.append(
-            0.5 * (2 * b + (c - a) * t + (2 * a - 5 * b + 4 * c - d) * t**2 + (3 * b - a - 3 * c + d) * t**3)
-        )
+        rows.append(0.5 * (2 * b + (c - a) * t + (2 * a - 5 * b + 4 * c - d) * t**2 + (3 * b - a - 3 * c + d) * t**3))
     return np.concatenate([*rows, p[-1:]])
 
 
@@ -63,10 +59,7 @@ def tube(
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
     cap = np.linspace(0, np.pi / 2, 7)[:-1]
     head = [(center[0] - tangent[0] * radius[0] * np.cos(a), tangent[0], radius[0] * np.sin(a)) for a in cap]
-    tail = [
-        (center[-1] + tangent[-1] * radius[-1] * np.cos(a), tangent[-1], radius[-1] * np.sin(a))
-        for a in cap[::-1]
-    ]
+    tail = [(center[-1] + tangent[-1] * radius[-1] * np.cos(a), tangent[-1], radius[-1] * np.sin(a)) for a in cap[::-1]]
     stations = [*head, *zip(center, tangent, radius, strict=True), *tail]
     side = np.cross(tangent[0], [0.0, 0.0, 1.0] if abs(tangent[0][2]) < 0.9 else [0.0, 1.0, 0.0])
     rings = []
@@ -85,9 +78,7 @@ def tube(
     return np.concatenate(rings), _tube_faces(len(rings), segments)[:, ::-1].copy()
 
 
-def torus(
-    center: ArrayLike, radii: ArrayLike, thickness: ArrayLike, segments: int = 64, sides: int = 16
-) -> Mesh:
+def torus(center: ArrayLike, radii: ArrayLike, thickness: ArrayLike, segments: int = 64, sides: int = 16) -> Mesh:
     """A level ring: `radii` (x, y) of its middle line, `thickness` (across, up) of its half section."""
     turn = np.linspace(0, 2 * np.pi, segments, endpoint=False)
     around = np.linspace(0, 2 * np.pi, sides, endpoint=False)

@@ -7,6 +7,7 @@ Exit codes: 0 done, 2 bad input, 1 failure, 130 cancelled. Errors are one senten
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib
 import importlib.util
 import signal
@@ -33,16 +34,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def execute(options: argparse.Namespace) -> int:
     """Run parsed options and turn whatever goes wrong into one sentence and an exit code."""
-    from .commands.console import say
+    from .commands.console import quiet_stdout, say
     from .core.errors import Cancelled, GSkinError
     from .core.worker.files import disk_error
 
     previous = _interruptible()
     try:
         module = importlib.import_module(f".commands.{options.command}", __package__)
-        module.run(options)
+        with contextlib.nullcontext() if options.verbose else quiet_stdout():
+            module.run(options)
     except (KeyboardInterrupt, Cancelled):
-        say("Cancelled; nothing was written.")
+        say("Cancelled; no output was written.")
         return CANCELLED
     except GSkinError as error:
         say(_sentence(error), getattr(error, "traceback", "") if options.verbose else "")

@@ -3,8 +3,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import json
+import os
 import sys
+from collections.abc import Iterator
 from dataclasses import asdict
 from typing import TextIO
 
@@ -18,6 +22,28 @@ def say(sentence: str, details: str = "") -> None:
     text = f"{details.rstrip()}\n{sentence}\n" if details else f"{sentence}\n"
     sys.stderr.write(text)
     sys.stderr.flush()
+
+
+@contextlib.contextmanager
+def quiet_stdout() -> Iterator[None]:
+    """Send stdout, also that of Blender's C code, nowhere: importers and file operations chatter there."""
+    sys.stdout.flush()
+    try:
+        kept = os.dup(1)
+    except OSError:  # no stdout at all
+        yield
+        return
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nowhere, 1)
+        yield
+    finally:
+        sys.stdout.flush()
+        if os.name == "posix":
+            ctypes.CDLL(None).fflush(None)  # what C has buffered goes the same way
+        os.dup2(kept, 1)
+        os.close(nowhere)
+        os.close(kept)
 
 
 class ProgressPrinter:

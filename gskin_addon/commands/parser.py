@@ -54,12 +54,8 @@ def _rig(commands: Any) -> None:
     rig.add_argument("--armature-name", metavar="NAME", help="which armature, where the file has several")
     rig.add_argument("--out", type=Path, required=True, metavar="OUT", help="what to write: .blend or .glb")
     rig.add_argument("--weights", type=Path, metavar="W.npz", help="also write the weights as arrays")
-    rig.add_argument(
-        "--ply-up", choices=UP_AXES, default="z", help="the PLY's up axis (default: Blender's, z)"
-    )
-    rig.add_argument(
-        "--drop-invalid", action="store_true", help="leave out splats with NaN or infinite values"
-    )
+    rig.add_argument("--ply-up", choices=UP_AXES, default="z", help="the PLY's up axis (default: Blender's, z)")
+    rig.add_argument("--drop-invalid", action="store_true", help="leave out splats with NaN or infinite values")
     rig.add_argument(
         "--init",
         choices=tuple(INITIAL_WEIGHTS),
@@ -85,21 +81,13 @@ def _rig(commands: Any) -> None:
         default="-y",
         help="the side that the object faces (default: %(default)s); write --front=-x",
     )
-    rig.add_argument(
-        "--preset", choices=tuple(PRESETS), default=DEFAULT_PRESET, help="effort (default: %(default)s)"
-    )
-    rig.add_argument(
-        "--max-influences", type=_positive, default=4, metavar="N", help="bones per splat (default: 4)"
-    )
-    rig.add_argument(
-        "--seed", type=_seed, default=0, metavar="N", help="same seed, same weights (default: 0)"
-    )
+    rig.add_argument("--preset", choices=tuple(PRESETS), default=DEFAULT_PRESET, help="effort (default: %(default)s)")
+    rig.add_argument("--max-influences", type=_positive, default=4, metavar="N", help="bones per splat (default: 4)")
+    rig.add_argument("--seed", type=_seed, default=0, metavar="N", help="same seed, same weights (default: 0)")
     rig.add_argument(
         "--job-dir", type=Path, metavar="D", help="keep the job here; the same command resumes a stopped one"
     )
-    rig.add_argument(
-        "--python", metavar="PYTHON", default="", help="the Python with torch that does the work"
-    )
+    rig.add_argument("--python", metavar="PYTHON", default="", help="the Python with torch that does the work")
     rig.add_argument(
         "--progress",
         choices=("auto", "bar", "lines", "json", "none"),
@@ -138,9 +126,7 @@ def _render(commands: Any) -> None:
     render.add_argument("source", type=Path, metavar="SPLATS", help=".ply, or .blend that `gskin rig` wrote")
     render.add_argument("--out", type=Path, required=True, metavar="IMAGE.png")
     render.add_argument("--view", choices=VIEWS, default="front-left", help="(default: %(default)s)")
-    render.add_argument(
-        "--size", type=_positive, default=512, metavar="PIXELS", help="(default: %(default)s)"
-    )
+    render.add_argument("--size", type=_positive, default=512, metavar="PIXELS", help="(default: %(default)s)")
     render.add_argument(
         "--background", type=_unit, nargs=3, default=[1.0, 1.0, 1.0], metavar=("R", "G", "B"), help="0 to 1"
     )
@@ -177,7 +163,7 @@ def _posing(parser: argparse.ArgumentParser) -> None:
 
 
 def _common(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--verbose", action="store_true", help="on an error, print where it happened")
+    parser.add_argument("--verbose", action="store_true", help="show what Blender prints, and where an error happened")
 
 
 def _positive(text: str) -> int:

@@ -54,9 +54,7 @@ def open_posed(options: argparse.Namespace) -> bpy.types.Object:
     wanted = turns or options.action or options.frame is not None
     if armature is None:
         if wanted:
-            raise InputError(
-                f"'{obj.name}' in '{options.source}' follows no armature; bind it with gskin rig."
-            )
+            raise InputError(f"'{obj.name}' in '{options.source}' follows no armature; bind it with gskin rig.")
         return obj
     if options.action is not None:
         _assign_action(armature, options.action)

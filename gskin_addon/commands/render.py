@@ -27,15 +27,8 @@ def run(options: argparse.Namespace) -> None:
     """Do it. Raises InputError for what cannot be used."""
     check_output(options.out, "--out", (".png",))
     if options.source.suffix.lower() == ".ply":
-        if (
-            options.engine == "cycles"
-            or options.color == "weights"
-            or options.rotate
-            or options.frame is not None
-        ):
-            raise InputError(
-                f"'{options.source}' has no rig to pose, colour or render by; give a rigged .blend."
-            )
+        if options.engine == "cycles" or options.color == "weights" or options.rotate or options.frame is not None:
+            raise InputError(f"'{options.source}' has no rig to pose, colour or render by; give a rigged .blend.")
         draw(read_splats(options.source, options.ply_up, drop_invalid=True), options)
     else:
         obj = open_posed(options)
@@ -82,9 +75,7 @@ def _draw_elsewhere(cloud: SplatCloud, options: argparse.Namespace) -> None:
     """Blender's own Python has no numba: the worker's Python draws the posed splats."""
     python = find_worker_python(options.python)
     if python is None:
-        raise InputError(
-            "No Python with numba was found to draw with; name one with --python or GSKIN_PYTHON."
-        )
+        raise InputError("No Python with numba was found to draw with; name one with --python or GSKIN_PYTHON.")
     program = Path(__file__).resolve().parents[1] / "cli.py"
     with tempfile.TemporaryDirectory(prefix="gskin-render-") as folder:
         posed = Path(folder) / "posed.ply"

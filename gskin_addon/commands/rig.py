@@ -74,9 +74,7 @@ def run(options: argparse.Namespace) -> None:
         printer(ProgressEvent("save", 1.0, message=options.out.name))
         if options.weights is not None:
             write_weights(options.weights, weights, skeleton)
-        _save(
-            options.out, cloud, options.splats.stem, armature, weights, result.bones, options.max_influences
-        )
+        _save(options.out, cloud, options.splats.stem, armature, weights, result.bones, options.max_influences)
     say(f"{cloud.count:,} splats follow {skeleton.count} bones in '{options.out}'.")
 
 

@@ -4,10 +4,7 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import os
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -52,36 +49,26 @@ def open_blend(path: Path) -> None:
     if not path.is_file():
         raise InputError(f"'{path}' does not exist; check the path.")
     try:
-        with _quiet():
-            bpy.ops.wm.open_mainfile(filepath=str(path.absolute()), load_ui=False, use_scripts=False)
+        bpy.ops.wm.open_mainfile(filepath=str(path.absolute()), load_ui=False, use_scripts=False)
     except RuntimeError as error:
-        raise InputError(
-            f"'{path}' cannot be opened as a .blend ({_reason(error)}); save it again."
-        ) from error
+        raise InputError(f"'{path}' cannot be opened as a .blend ({_reason(error)}); save it again.") from error
 
 
 def find_splats(path: Path, name: str | None = None) -> bpy.types.Object:
     """The scene's splat object; `name` chooses among several. Raises InputError where there is none."""
-    return _choose(
-        [obj for obj in bpy.context.scene.objects if is_splat_object(obj)], "splat object", name, path
-    )
+    return _choose([obj for obj in bpy.context.scene.objects if is_splat_object(obj)], "splat object", name, path)
 
 
 def save_blend(path: Path) -> None:
     """Save the present file at `path`, by way of a temporary file. Raises GSkinError where that fails."""
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp.blend").absolute()
     try:
-        with _quiet():
-            bpy.ops.wm.save_as_mainfile(
-                filepath=str(temporary), check_existing=False, copy=True, compress=True
-            )
+        bpy.ops.wm.save_as_mainfile(filepath=str(temporary), check_existing=False, copy=True, compress=True)
         os.replace(temporary, path)
     except OSError as error:
         raise disk_error(error, path) from error
     except RuntimeError as error:
-        raise GSkinError(
-            f"'{path}' could not be written ({_reason(error)}); check folder and free space."
-        ) from error
+        raise GSkinError(f"'{path}' could not be written ({_reason(error)}); check folder and free space.") from error
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
@@ -89,7 +76,7 @@ def save_blend(path: Path) -> None:
 
 def _append(path: Path) -> None:
     try:
-        with _quiet(), bpy.data.libraries.load(str(path.absolute()), link=False) as (source, target):
+        with bpy.data.libraries.load(str(path.absolute()), link=False) as (source, target):
             target.objects = list(source.objects)
             target.actions = list(source.actions)
     except (OSError, RuntimeError, ValueError) as error:
@@ -111,16 +98,15 @@ def _append(path: Path) -> None:
 
 def _import(path: Path) -> None:
     try:
-        with _quiet():
-            if path.suffix.lower() == ".fbx":
-                # Other programs' bones do not lie along their y axis; this turns them to their children.
-                bpy.ops.import_scene.fbx(filepath=str(path.absolute()), automatic_bone_orientation=True)
-            else:
-                # glTF has no bone tails; this points them at the children and keeps Blender's own bones.
-                options: dict[str, Any] = {"bone_heuristic": "TEMPERANCE"}
-                if "disable_bone_shape" in bpy.ops.import_scene.gltf.get_rna_type().properties:
-                    options["disable_bone_shape"] = True
-                bpy.ops.import_scene.gltf(filepath=str(path.absolute()), **options)
+        if path.suffix.lower() == ".fbx":
+            # Other programs' bones do not lie along their y axis; this turns them to their children.
+            bpy.ops.import_scene.fbx(filepath=str(path.absolute()), automatic_bone_orientation=True)
+        else:
+            # glTF has no bone tails; this points them at the children and keeps Blender's own bones.
+            options: dict[str, Any] = {"bone_heuristic": "TEMPERANCE"}
+            if "disable_bone_shape" in bpy.ops.import_scene.gltf.get_rna_type().properties:
+                options["disable_bone_shape"] = True
+            bpy.ops.import_scene.gltf(filepath=str(path.absolute()), **options)
     except (RuntimeError, AttributeError, ValueError, KeyError, TypeError, IndexError, OSError) as error:
         raise InputError(f"'{path}' cannot be imported ({_reason(error)}); export it again.") from error
 
@@ -159,14 +145,3 @@ def _remove_others(armature: bpy.types.Object, added: list[bpy.types.Object]) ->
 def _reason(error: BaseException) -> str:
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return (lines[-1] if lines else type(error).__name__).removeprefix("Error: ").rstrip(".")
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Importers print to stdout; the command line's stdout is for results."""
-    kept = sys.stdout
-    sys.stdout = io.StringIO()
-    try:
-        yield
-    finally:
-        sys.stdout = kept
