@@ -119,14 +119,10 @@ def look_at(
     rotation = np.stack([x, np.cross(z, x), z])
     height, width = (size, size) if isinstance(size, int) else size
     focal = 0.5 * min(width, height) / np.tan(0.5 * np.radians(fov))
-    return Camera(
-        rotation, -rotation @ eye_, focal, focal, 0.5 * width, 0.5 * height, int(width), int(height), near
-    )
+    return Camera(rotation, -rotation @ eye_, focal, focal, 0.5 * width, 0.5 * height, int(width), int(height), near)
 
 
-def percentile_bounds(
-    points: ArrayLike, percent: float = 0.2
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def percentile_bounds(points: ArrayLike, percent: float = 0.2) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Corners (3,), (3,) of the box of `points` (N,3) without the outermost `percent` % at each of its sides.
 
     Captured splats have floaters; framing them would make the object small.
@@ -184,10 +180,7 @@ def orbit_views(
             float((np.abs(p[:, 0]) / tan_x - p[:, 2]).max()),
             float((np.abs(p[:, 1]) / tan_y - p[:, 2]).max()),
         )
-    return [
-        replace(c, translation=-c.rotation @ center + (0.0, 0.0, distance), near=0.01 * distance)
-        for c in cameras
-    ]
+    return [replace(c, translation=-c.rotation @ center + (0.0, 0.0, distance), near=0.01 * distance) for c in cameras]
 
 
 def paper_views(
@@ -213,6 +206,4 @@ def evaluation_views(
     fov: float = FIELD_OF_VIEW,
 ) -> list[Camera]:
     """The four guidance views and [left, right], framed on the box; see orbit_views."""
-    return orbit_views(
-        lower, upper, size, list(EVALUATION_AZIMUTHS.values()), front=front, margin=margin, fov=fov
-    )
+    return orbit_views(lower, upper, size, list(EVALUATION_AZIMUTHS.values()), front=front, margin=margin, fov=fov)

@@ -88,9 +88,7 @@ def _tile_ranges(tile_start: NDArray[np.int64], threads: int) -> list[tuple[int,
     return [(int(a), int(b)) for a, b in pairwise(cuts) if b > a]
 
 
-def camera_vector(
-    camera: Camera, dilation: float = DILATION, compensate: float | None = None
-) -> NDArray[np.float64]:
+def camera_vector(camera: Camera, dilation: float = DILATION, compensate: float | None = None) -> NDArray[np.float64]:
     """The camera and the filter as the kernels read them, (CAMERA,) float64."""
     c = np.zeros(CAMERA)
     c[0:9], c[9:12] = camera.rotation.ravel(), camera.translation
@@ -164,16 +162,10 @@ class CpuScene:
         """
         return self._forward(means, quats, camera, background, colors, threads)[0]
 
-    def backward(
-        self, frame: Frame, grad_image: ArrayLike, grad_alpha: ArrayLike | None = None
-    ) -> tuple[Array, Array]:
+    def backward(self, frame: Frame, grad_image: ArrayLike, grad_alpha: ArrayLike | None = None) -> tuple[Array, Array]:
         """Gradients to means (N,3) and quats (N,4) from those to the image (H,W,3) and to alpha (H,W)."""
         gi = np.ascontiguousarray(grad_image, np.float32)
-        ga = (
-            np.zeros((0, 0), np.float32)
-            if grad_alpha is None
-            else np.ascontiguousarray(grad_alpha, np.float32)
-        )
+        ga = np.zeros((0, 0), np.float32) if grad_alpha is None else np.ascontiguousarray(grad_alpha, np.float32)
         f = frame
         sums = np.empty((len(f.owner), 6), np.float32)
         _spread(
@@ -287,9 +279,7 @@ class CpuScene:
             forward_tiles, _tile_ranges(tile_start, threads), pixels, record, c, back, tile_start, slots, owner, image,
             alpha, weight,
         )  # fmt: skip
-        frame = Frame(
-            image, alpha, m, q, c, vector, pixels, record, first_slot, tile_start, slots, owner, threads
-        )
+        frame = Frame(image, alpha, m, q, c, vector, pixels, record, first_slot, tile_start, slots, owner, threads)
         return frame, weight
 
 

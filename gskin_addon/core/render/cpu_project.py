@@ -173,9 +173,7 @@ def depth_order(tiles: Any, depth_bits: Any, order: Any, spare: Any) -> int:
 
 
 @njit(cache=True, nogil=True)
-def fill_tiles(
-    order: Any, rect: Any, columns: int, first_slot: Any, tile_start: Any, slots: Any, owner: Any
-) -> None:
+def fill_tiles(order: Any, rect: Any, columns: int, first_slot: Any, tile_start: Any, slots: Any, owner: Any) -> None:
     """slots (pairs,): the slots of each tile from near to far; owner (pairs,): the splat of each slot."""
     cursor = tile_start[:-1].copy()
     for key in order:

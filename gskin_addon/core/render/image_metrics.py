@@ -23,9 +23,7 @@ def gaussian_window() -> NDArray[np.float64]:
 def _pair(a: ArrayLike, b: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     x, y = np.asarray(a, np.float64), np.asarray(b, np.float64)
     if x.shape != y.shape or x.ndim != 3 or x.size == 0:
-        raise InputError(
-            f"Images of shapes {x.shape} and {y.shape} cannot be compared; give two (H,W,C) of one size."
-        )
+        raise InputError(f"Images of shapes {x.shape} and {y.shape} cannot be compared; give two (H,W,C) of one size.")
     return x, y
 
 
@@ -52,9 +50,7 @@ def ssim_map(a: ArrayLike, b: ArrayLike) -> NDArray[np.float64]:
     x, y = _pair(a, b)
     mx, my = blur(x), blur(y)
     sx, sy, sxy = blur(x * x) - mx * mx, blur(y * y) - my * my, blur(x * y) - mx * my
-    out: NDArray[np.float64] = ((2 * mx * my + C1) * (2 * sxy + C2)) / (
-        (mx * mx + my * my + C1) * (sx + sy + C2)
-    )
+    out: NDArray[np.float64] = ((2 * mx * my + C1) * (2 * sxy + C2)) / ((mx * mx + my * my + C1) * (sx + sy + C2))
     return out
 
 

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
 from .image_metrics import C1, C2, WINDOW, gaussian_window
+from .vec8 import broadcast, fma, load, store
 
 Array = NDArray[np.float32]
 Box = tuple[int, int, int, int]
@@ -31,85 +32,106 @@ _C1, _C2 = np.float32(C1), np.float32(C2)
 
 
 @njit(cache=True, nogil=True)
-def _across(row: Any, out: Any) -> None:
-    """out (w,) = `row` (w + 10,), which has 5 zeros at each end, under the window."""
-    for x in range(out.shape[0]):
-        out[x] = (
-            _W0 * (row[x] + row[x + 10])
-            + _W1 * (row[x + 1] + row[x + 9])
-            + _W2 * (row[x + 2] + row[x + 8])
-            + _W3 * (row[x + 3] + row[x + 7])
-            + _W4 * (row[x + 4] + row[x + 6])
-            + _W5 * row[x + 5]
-        )
+def _window(a: Any, at: Any, x: int) -> Any:
+    """Eight columns from x on: the sum of window[j] * a[at[j] + x] over the 11 offsets `at`."""
+    return fma(
+        broadcast(_W0), load(a, at[0] + x) + load(a, at[10] + x),
+        fma(broadcast(_W1), load(a, at[1] + x) + load(a, at[9] + x),
+            fma(broadcast(_W2), load(a, at[2] + x) + load(a, at[8] + x),
+                fma(broadcast(_W3), load(a, at[3] + x) + load(a, at[7] + x),
+                    fma(broadcast(_W4), load(a, at[4] + x) + load(a, at[6] + x),
+                        broadcast(_W5) * load(a, at[5] + x))))),
+    )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
-def _down(plane: Any, y: int, out: Any) -> None:
-    """out (w,) = row y of `plane` (h + 10, w), which has 5 zero rows at top and bottom, under the window."""
-    a, b, c, d, e, f = plane[y], plane[y + 1], plane[y + 2], plane[y + 3], plane[y + 4], plane[y + 5]
-    g, h, i, j, k = plane[y + 6], plane[y + 7], plane[y + 8], plane[y + 9], plane[y + 10]
-    for x in range(out.shape[0]):
-        out[x] = (
-            _W0 * (a[x] + k[x])
-            + _W1 * (b[x] + j[x])
-            + _W2 * (c[x] + i[x])
-            + _W3 * (d[x] + h[x])
-            + _W4 * (e[x] + g[x])
-            + _W5 * f[x]
-        )
+def _ring(newest: int, stride: int) -> Any:
+    """Offsets of a ring's 11 rows, the oldest first."""
+    n = newest + 1
+    return (
+        n % 11 * stride, (n + 1) % 11 * stride, (n + 2) % 11 * stride, (n + 3) % 11 * stride, (n + 4) % 11 * stride,
+        (n + 5) % 11 * stride, (n + 6) % 11 * stride, (n + 7) % 11 * stride, (n + 8) % 11 * stride,
+        (n + 9) % 11 * stride, newest * stride,
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True)
+def _blur_row(row: Any, rings: Any, count: int, slot: int, stride: int) -> None:
+    """Write the first `count` rows of `row` (n,stride) under the window to row `slot` of the rings (n,11*stride)."""
+    for k in range(count):
+        for x in range(0, stride - 16, 8):
+            store(rings[k], slot * stride + x, _window(row[k], (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10), x))
 
 
 @njit(cache=True, nogil=True)
 def _l1_dssim(image: Any, target: Any, top: int, left: int, weight: Any, scale: Any, grad: Any) -> float:
-    """Sum over the box (the shape of `target`) of the loss; adds scale x gradient into grad (H,W,3) there."""
+    """Sum over the box (the shape of `target`) of the loss; writes scale x gradient into grad (H,W,3) there.
+
+    Streams down the rows: the blurred moments of the last 11 rows give a row of SSIM and of its derivatives, and
+    the blurred derivatives of the last 11 of those rows give a row of the gradient.
+    """
     h, w, channels = target.shape
-    moments, maps = np.zeros((5, h + 10, w), np.float32), np.zeros((3, h + 10, w), np.float32)
-    row, out = np.zeros((5, w + 10), np.float32), np.empty((5, w), np.float32)
+    stride = (w + 7) // 8 * 8 + 16
+    moments, maps = np.empty((5, 11 * stride), np.float32), np.empty((3, 11 * stride), np.float32)
+    row, terms, out = (
+        np.empty((5, stride), np.float32),
+        np.empty((3, stride), np.float32),
+        np.empty((3, stride), np.float32),
+    )
+    c1, c2, one, two = broadcast(_C1), broadcast(_C2), broadcast(float32(1.0)), broadcast(float32(2.0))
+    l1_scale, ssim_scale = float32((1.0 - weight) * scale), float32(-weight * scale)
     l1: Any = 0.0
     dssim: Any = 0.0
-    one, two = float32(1.0), float32(2.0)
-    l1_scale, ssim_scale = float32((1.0 - weight) * scale), float32(-weight * scale)
     for channel in range(channels):
-        for y in range(h):
-            for x in range(w):
-                a, b = image[top + y, left + x, channel], target[y, x, channel]
-                row[0, x + 5], row[1, x + 5] = a, b
-                row[2, x + 5], row[3, x + 5], row[4, x + 5] = a * a, b * b, a * b
-            for k in range(5):
-                _across(row[k], moments[k, y + 5])
-        for y in range(h):
-            for k in range(5):
-                _down(moments[k], y, out[k])
-            total = float32(0.0)
-            for x in range(w):
-                ma, mb = out[0, x], out[1, x]
-                saa, sbb, sab = out[2, x] - ma * ma, out[3, x] - mb * mb, out[4, x] - ma * mb
-                a1, a2 = two * ma * mb + _C1, two * sab + _C2
-                b1, b2 = ma * ma + mb * mb + _C1, saa + sbb + _C2
-                both = one / (b1 * b2)
-                s = a1 * a2 * both
-                total += one - s
-                d_aa, d_ab = -s * b1 * both, two * a1 * both  # dS/dE[aa], dS/dE[ab]
-                out[0, x] = two * (mb * a2 * both - ma * s * b2 * both - ma * d_aa) - mb * d_ab  # dS/dE[a]
-                out[1, x], out[2, x] = d_aa, d_ab
-            dssim += total
-            for k in range(3):
-                row[k, 5 : w + 5] = out[k]
-                _across(row[k], maps[k, y + 5])
-        for y in range(h):
-            for k in range(3):
-                _down(maps[k], y, out[k])
-            total = float32(0.0)
-            for x in range(w):
-                a, b = image[top + y, left + x, channel], target[y, x, channel]
-                d = a - b
-                total += abs(d)
-                sign = float32(np.sign(d))
-                grad[top + y, left + x, channel] = l1_scale * sign + ssim_scale * (
-                    out[0, x] + two * a * out[1, x] + b * out[2, x]
-                )
-            l1 += total
+        moments[:], maps[:], row[:], terms[:] = 0.0, 0.0, 0.0, 0.0
+        for t in range(h + 10):
+            newest = t % 11
+            if t < h:
+                for x in range(w):
+                    a, b = image[top + t, left + x, channel], target[t, x, channel]
+                    row[0, x + 5], row[1, x + 5] = a, b
+                    row[2, x + 5], row[3, x + 5], row[4, x + 5] = a * a, b * b, a * b
+                _blur_row(row, moments, 5, newest, stride)
+            else:
+                moments[:, newest * stride : (newest + 1) * stride] = 0.0
+            y = t - 5
+            if 0 <= y < h:
+                at = _ring(newest, stride)
+                for x in range(0, w, 8):
+                    ma, mb = _window(moments[0], at, x), _window(moments[1], at, x)
+                    saa = _window(moments[2], at, x) - ma * ma
+                    sbb = _window(moments[3], at, x) - mb * mb
+                    sab = _window(moments[4], at, x) - ma * mb
+                    a1, a2 = fma(two * ma, mb, c1), fma(two, sab, c2)
+                    b1, b2 = ma * ma + mb * mb + c1, saa + sbb + c2
+                    both = one / (b1 * b2)
+                    s = a1 * a2 * both
+                    d_aa, d_ab = s * b1 * both, two * a1 * both  # -dS/dE[aa], dS/dE[ab]
+                    store(out[0], x, one - s)
+                    store(terms[0], x + 5, two * (mb * a2 * both - ma * s * b2 * both + ma * d_aa) - mb * d_ab)
+                    store(terms[1], x + 5, d_aa)
+                    store(terms[2], x + 5, d_ab)
+                total = float32(0.0)
+                for x in range(w):
+                    total += out[0, x]
+                dssim += total
+                terms[:, w + 5 :] = 0.0
+                _blur_row(terms, maps, 3, y % 11, stride)
+            elif y >= h:
+                maps[:, y % 11 * stride : (y % 11 + 1) * stride] = 0.0
+            z = t - 10
+            if z >= 0:
+                at = _ring(y % 11, stride)
+                for k in range(3):
+                    for x in range(0, w, 8):
+                        store(out[k], x, _window(maps[k], at, x))
+                total = float32(0.0)
+                for x in range(w):
+                    a, b = image[top + z, left + x, channel], target[z, x, channel]
+                    total += abs(a - b)
+                    ssim_part = out[0, x] - float32(2.0) * a * out[1, x] + b * out[2, x]
+                    grad[top + z, left + x, channel] = l1_scale * np.sign(a - b) + ssim_scale * ssim_part
+                l1 += total
     return (1.0 - weight) * l1 + weight * dssim
 
 
@@ -122,9 +144,7 @@ def l1_dssim(
     """
     a, b = np.asarray(image, np.float32), np.asarray(target, np.float32)
     if a.shape != b.shape or a.ndim != 3:
-        raise InputError(
-            f"Images of shapes {a.shape} and {b.shape} cannot be compared; give two (H,W,3) of one size."
-        )
+        raise InputError(f"Images of shapes {a.shape} and {b.shape} cannot be compared; give two (H,W,3) of one size.")
     y0, y1, x0, x1 = (0, a.shape[0], 0, a.shape[1]) if box is None else box
     return _boxed(a, np.ascontiguousarray(b[y0:y1, x0:x1]), y0, x0, weight)
 
@@ -180,9 +200,7 @@ def photometric_loss(
 
     def loss(image: Array, alpha: Array) -> tuple[float, Array]:
         if image.shape != t.shape:
-            raise InputError(
-                f"The render is {image.shape}, its guidance image {t.shape}; give both one size."
-            )
+            raise InputError(f"The render is {image.shape}, its guidance image {t.shape}; give both one size.")
         y0, y1, x0, x1 = union(known, content_box(alpha > 0.0))
         part = np.ascontiguousarray(t[y0:y1, x0:x1].astype(np.float32) * scale)
         return _boxed(image, part, y0, x0, weight)

@@ -35,9 +35,7 @@ class Scene(Protocol):
     ) -> Any:
         """A frame with `.image` (H,W,3) and `.alpha` (H,W), to be given to `backward`."""
 
-    def backward(
-        self, frame: Any, grad_image: ArrayLike, grad_alpha: ArrayLike | None = None
-    ) -> tuple[Array, Array]:
+    def backward(self, frame: Any, grad_image: ArrayLike, grad_alpha: ArrayLike | None = None) -> tuple[Array, Array]:
         """Gradients to means (N,3) and quats (N,4)."""
 
     def render_and_grad_many(
@@ -77,9 +75,7 @@ def prepare(
     compensate: float | None = None,
 ) -> Scene:
     """A scene for many renders of moving splats: scales and colors (N,3), opacities (N,); see cpu.prepare."""
-    return BACKENDS[resolve_backend(backend)](
-        scales, colors, opacities, dilation=dilation, compensate=compensate
-    )
+    return BACKENDS[resolve_backend(backend)](scales, colors, opacities, dilation=dilation, compensate=compensate)
 
 
 def rasterize(
