@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gskin_addon.core.errors import Cancelled, InputError
+from gskin_addon.core.rig.kinematics import pose_transforms
+from gskin_addon.core.rig.lbs import skin_points
+from gskin_addon.core.rig.poses import random_poses
+from gskin_addon.core.rig.segments import bone_segments
+from gskin_addon.core.skinning import presets
+from gskin_addon.core.worker import pipeline
+from gskin_addon.core.worker.pipeline import run
+from tests.helpers.limb import make_limb
+
+TINY = presets.Preset("for tests", 4, ((64, 6), (128, 10)), 4)
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch):
+    monkeypatch.setitem(presets.PRESETS, "draft", TINY)
+    monkeypatch.setattr(pipeline, "GUIDANCE_SIZE", 128)
+
+
+def silent(*_):
+    return None
+
+
+def position_error(limb, weights):
+    rng = np.random.default_rng(1)
+    poses = pose_transforms(limb.skeleton, random_poses(limb.skeleton, (0, 1, 0), 20, rng))
+    moved = [skin_points(limb.cloud.means, w, poses) for w in (weights, limb.weights)]
+    return float(np.linalg.norm(moved[0] - moved[1], axis=-1).mean())
+
+
+def test_default_guidance_improves_on_the_initial_weights(tmp_path):
+    limb = make_limb(1500)
+    start = run(limb.cloud, limb.skeleton, {"preset": "draft"}, silent, tmp_path)
+    report = start.report
+    assert start.weights.shape == limb.weights.shape
+    np.testing.assert_allclose(start.weights.sum(1), 1, atol=1e-5)
+    assert report["guidance_images"] == 16
+    assert report["iterations"] == 16
+    assert report["losses"][-1]["render"] < report["losses"][0]["render"]
+    assert set(start.previews) == {"weights", "guidance"}
+    assert position_error(limb, start.weights) < 0.05
+
+
+def test_result_does_not_depend_on_place_and_unit(tmp_path):
+    limb = make_limb(800)
+    here = run(limb.cloud, limb.skeleton, {"preset": "draft"}, silent, tmp_path)
+    far = replace(limb.cloud, means=limb.cloud.means * 50 + 7, scales=limb.cloud.scales * 50)
+    moved = limb.skeleton.moved(np.eye(3), 50.0, (7, 7, 7))
+    there = run(far, moved, {"preset": "draft"}, silent, tmp_path / "other")
+    assert np.abs(here.weights - there.weights).sum(1).mean() < 0.05
+
+
+def test_a_stopped_run_goes_on_and_ends_the_same(tmp_path, monkeypatch):
+    monkeypatch.setattr(pipeline, "CHECKPOINT_SECONDS", 0.0)
+    limb = make_limb(800)
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    whole = run(limb.cloud, limb.skeleton, {"preset": "draft"}, silent, tmp_path / "a")
+
+    def stop(stage, fraction, losses, message):
+        if message.startswith("Iteration 9 "):
+            raise Cancelled("stop")
+
+    with pytest.raises(Cancelled):
+        run(limb.cloud, limb.skeleton, {"preset": "draft"}, stop, tmp_path / "b")
+    iterations = []
+
+    def watch(stage, fraction, losses, message):
+        if stage == "optimise":
+            iterations.append(message)
+
+    resumed = run(limb.cloud, limb.skeleton, {"preset": "draft"}, watch, tmp_path / "b")
+    assert iterations[0].startswith("Iteration 9 ")
+    np.testing.assert_array_equal(resumed.weights, whole.weights)
+
+
+def test_influences_are_limited(tmp_path):
+    limb = make_limb(600)
+    outcome = run(limb.cloud, limb.skeleton, {"preset": "draft", "max_influences": 2}, silent, tmp_path)
+    assert (outcome.weights > 0).sum(1).max() <= 2
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"preset": "fastest"}, "preset is 'fastest'"),
+        ({"guidance": "magic"}, "guidance is 'magic'"),
+        ({"init": "random"}, "init is 'random'"),
+        ({"front": "up"}, "front is 'up'"),
+        ({"max_influences": -1}, "max_influences"),
+        ({"sed": 3}, "unknown settings sed"),
+    ],
+)
+def test_bad_settings_are_named(tmp_path, settings, words):
+    limb = make_limb(50)
+    with pytest.raises(InputError, match=words):
+        run(limb.cloud, limb.skeleton, settings, silent, tmp_path)
+
+
+def test_segments_reach_the_next_joint_where_tails_are_invented():
+    limb = make_limb(10)
+    stubs = replace(limb.skeleton, tails=limb.skeleton.heads + (0.01, 0, 0))
+    segments = bone_segments(stubs)
+    np.testing.assert_array_equal(segments.bone, [0, 1, 2])
+    np.testing.assert_allclose(segments.ends, limb.skeleton.tails)  # the leaf takes its parent's length
+    honest = bone_segments(limb.skeleton)
+    np.testing.assert_allclose(honest.ends, limb.skeleton.tails)
