@@ -95,13 +95,20 @@ def geometry_group(name: str, version: int, inputs: list[tuple[str, str, dict[st
 
 def set_input(modifier: bpy.types.NodesModifier, name: str, value: Any) -> None:
     """Set a node group's input on a modifier by its label."""
-    modifier[_identifier(modifier, name)] = value
+    identifier = _identifier(modifier, name)
+    if hasattr(modifier, "properties"):  # Blender 5.2 and later
+        getattr(modifier.properties.inputs, identifier).value = value
+    else:
+        modifier[identifier] = value
     modifier.id_data.update_tag()
 
 
 def get_input(modifier: bpy.types.NodesModifier, name: str) -> Any:
     """The value of a node group's input on a modifier by its label."""
-    return modifier.get(_identifier(modifier, name))
+    identifier = _identifier(modifier, name)
+    if hasattr(modifier, "properties"):
+        return getattr(modifier.properties.inputs, identifier).value
+    return modifier.get(identifier)
 
 
 def _identifier(modifier: bpy.types.NodesModifier, name: str) -> str:
