@@ -67,7 +67,7 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
         if not self._start(context):
             return {"CANCELLED"}
         try:
-            self._job.client.wait(lambda event: print(progress.line(event), flush=True), interval=TICK)
+            self._job.client.wait(progress.Printer(), interval=TICK)
             return self._finish(context)
         except GSkinError as error:
             return self._fail(context, error)

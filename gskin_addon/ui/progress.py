@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import textwrap
+import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -61,6 +62,19 @@ def clear(context: bpy.types.Context) -> None:
     if context.workspace is not None:
         context.workspace.status_text_set(None)
     _redraw(context)
+
+
+class Printer:
+    """Prints progress for a terminal: every stage, and a line every `interval` seconds."""
+
+    def __init__(self, interval: float = 2.0) -> None:
+        self._interval, self._stage, self._at = interval, "", 0.0
+
+    def __call__(self, event: ProgressEvent) -> None:
+        now = time.monotonic()
+        if event.stage != self._stage or now - self._at >= self._interval:
+            self._stage, self._at = event.stage, now
+            print(line(event), flush=True)
 
 
 def line(event: ProgressEvent) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A worker whose pipeline does what settings["act"] says; in all else it is core/worker/process.py."""
+"""A worker whose pipeline does what settings["act"] or $GSKIN_TEST_ACT says; else it is core/worker/process.py."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gskin_addon.core.worker import compute, supervisor
 
 
 def act(cloud: Any, skeleton: Any, settings: dict[str, Any], progress: Any, checkpoint: Path) -> Any:
-    what = settings.get("act", "finish")
+    what = settings.get("act") or os.environ.get("GSKIN_TEST_ACT", "finish")
     (checkpoint / "pid").write_text(str(os.getpid()))
     if what == "deaf":  # holds Python's lock for minutes, as a long compiled call does
         import numba
