@@ -84,6 +84,12 @@ def _alive(T: Any) -> bool:
 
 
 @njit(cache=True, nogil=True)
+def _rows(my: Any, reach: Any, rows: int) -> Any:
+    """Rows [first, last) of the tile that a splat reaches."""
+    return max(np.int64(np.ceil(my - reach)), 0), min(np.int64(np.floor(my + reach)) + 1, rows)
+
+
+@njit(cache=True, nogil=True)
 def _strips(mx: Any, my: Any, wide: Any, lean: Any, ya: int, yb: int) -> Any:
     """First and last offset, multiples of 8 from the left end of each row, of the strips that meet the tile."""
     top, bottom = mx - lean * (float32(ya) - my) - wide, mx - lean * (float32(yb - 1) - my) - wide
@@ -128,15 +134,15 @@ def forward_tiles(
                 a, b, c, k = block[j, A], block[j, B], block[j, C], block[j, K]
                 va = broadcast(-a)
                 best = zero
-                ya, yb = max(np.int64(np.ceil(my - reach)), 0), min(np.int64(np.floor(my + reach)) + 1, rows)
+                ya, yb = _rows(my, reach, rows)
                 # Strips of eight columns that follow the ridge; most splats need one.
                 strip, end = _strips(mx, my, wide, lean, ya, yb)
                 while strip <= end:
                     dy = float32(ya) - my
                     for y in range(ya, yb):
-                        x = min(max(np.ceil(mx - lean * dy - wide) + strip, FIRST_X), LAST_X)
-                        at = ORIGIN + y * STRIDE + np.int64(x)
-                        dx = lanes + broadcast(x - mx)
+                        begin = min(max(np.ceil(mx - lean * dy - wide) + strip, FIRST_X), LAST_X)
+                        at = ORIGIN + y * STRIDE + int(begin)
+                        dx = lanes + broadcast(begin - mx)
                         t = load(T, at)
                         power = fma(fma(va, dx, broadcast(-b * dy)), dx, broadcast(k - c * dy * dy))
                         opaque = minimum(exp2(power), top)
@@ -208,14 +214,14 @@ def backward_tiles(
                 a, b, c, k = block[j, A], block[j, B], block[j, C], block[j, K]
                 va = broadcast(-a)
                 s0, sx, sy, sxx, sxy, syy = zero, zero, zero, zero, zero, zero
-                ya, yb = max(np.int64(np.ceil(my - reach)), 0), min(np.int64(np.floor(my + reach)) + 1, rows)
+                ya, yb = _rows(my, reach, rows)
                 strip, end = _strips(mx, my, wide, lean, ya, yb)
                 while strip <= end:
                     dy = float32(ya) - my
                     for y in range(ya, yb):
-                        x = min(max(np.ceil(mx - lean * dy - wide) + strip, FIRST_X), LAST_X)
-                        at = ORIGIN + y * STRIDE + np.int64(x)
-                        dx, vy = lanes + broadcast(x - mx), broadcast(dy)
+                        begin = min(max(np.ceil(mx - lean * dy - wide) + strip, FIRST_X), LAST_X)
+                        at = ORIGIN + y * STRIDE + int(begin)
+                        dx, vy = lanes + broadcast(begin - mx), broadcast(dy)
                         t = load(T, at)
                         power = fma(fma(va, dx, broadcast(-b * dy)), dx, broadcast(k - c * dy * dy))
                         raw = exp2(power)

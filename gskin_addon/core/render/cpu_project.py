@@ -165,9 +165,9 @@ def depth_order(tiles: Any, depth_bits: Any, order: Any, spare: Any) -> int:
         source, target = (spare, order) if k == 1 else (order, spare)
         for j in range(n):
             key = source[j]
-            b = np.int64((key >> np.uint64(32 + 11 * k)) & np.uint64(2047))
-            target[starts[k, b]] = key
-            starts[k, b] += 1
+            digit = np.int64((key >> np.uint64(32 + 11 * k)) & np.uint64(2047))
+            target[starts[k, digit]] = key
+            starts[k, digit] += 1
     order[:n] = spare[:n]
     return n
 

@@ -15,6 +15,8 @@ SCENES = (
     "near_opaque",
     "one_tile",
     "off_center",
+    "huge_and_thin",
+    "crowded",
 )
 
 
@@ -43,5 +45,15 @@ def make_scene(name: str) -> tuple[list[np.ndarray], Camera]:
         camera = look_at((1, -2, 0.5), (0, 0, 0), size=(17, 11))
     elif name == "off_center":
         camera = Camera(camera.rotation, camera.translation, 70.0, 110.0, 20.0, 60.0, 101, 67)
+    elif name == "huge_and_thin":
+        scales = np.exp(rng.uniform(-6, 3, (n, 3)))
+        opacities = rng.uniform(0.02, 0.3, n)
+    elif name == "crowded":
+        # More splats in a tile than are fetched at once, and pixels that end long before the last of them.
+        n = 400
+        means, quats = rng.normal(0, 0.5, (n, 3)), rng.normal(size=(n, 4))
+        scales, colors = np.exp(rng.normal(-1.5, 0.4, (n, 3))), rng.uniform(0, 1, (n, 3))
+        opacities = rng.uniform(0.5, 1.0, n)
+        camera = look_at((0.3, -3.0, 0.4), (0, 0, 0), size=(40, 40))
     arrays = [np.ascontiguousarray(a, np.float32) for a in (means, quats, scales, colors, opacities)]
     return arrays, camera

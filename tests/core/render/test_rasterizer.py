@@ -67,15 +67,11 @@ def test_gradient_follows_finite_differences() -> None:
     constants = [torch.tensor(a, dtype=torch.float64) for a in (scales, colors, opacities)]
 
     def loss(m: np.ndarray, q: np.ndarray) -> float:
-        image, _ = reference.render(
-            torch.tensor(m), torch.tensor(q), *constants, camera, torch.tensor(BACKGROUND)
-        )
+        image, _ = reference.render(torch.tensor(m), torch.tensor(q), *constants, camera, torch.tensor(BACKGROUND))
         return float((image * grad_image).sum())
 
     scene = prepare(scales, colors, opacities)
-    grad_means, grad_quats = scene.backward(
-        scene.forward(means, quats, camera, BACKGROUND), grad_image.numpy()
-    )
+    grad_means, grad_quats = scene.backward(scene.forward(means, quats, camera, BACKGROUND), grad_image.numpy())
     m, q = means.astype(np.float64), quats.astype(np.float64)
     for _ in range(4):
         dm, dq = rng.normal(size=m.shape), rng.normal(size=q.shape)
