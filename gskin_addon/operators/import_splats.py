@@ -11,6 +11,7 @@ from bpy_extras.io_utils import ImportHelper
 from ..core.errors import GSkinError
 from ..core.splats.axes import rotate_cloud, up_rotation
 from ..core.splats.ply import read_ply
+from ..scene import names
 from ..scene.render import prepare_scene
 from ..scene.splat_object import create_splat_object
 
@@ -71,6 +72,7 @@ class GSKIN_OT_import_splats(bpy.types.Operator, ImportHelper):
         splats = read_ply(path, drop_invalid=self.drop_invalid)
         cloud = rotate_cloud(splats.cloud, up_rotation(self.up))
         obj = create_splat_object(cloud, path.stem, collection=context.collection)
+        obj.data[names.MARK]["up"] = self.up  # for advice when an armature lies along another axis
         words = f"{path.name}: {cloud.count:,} splats, spherical harmonics of degree {cloud.sh_degree}"
         if splats.dropped:
             self.report({"WARNING"}, f"{words}; {splats.dropped:,} invalid splats left out")

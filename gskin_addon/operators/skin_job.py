@@ -16,6 +16,7 @@ from ..core.errors import GSkinError, InputError
 from ..core.worker.client import ProgressEvent, WorkerClient
 from ..core.worker.contract import LOCK, fingerprint, write_job
 from ..core.worker.lock import job_lock
+from ..scene import names
 from ..scene.armature import read_skeleton
 from ..scene.splat_object import read_cloud, splat_count
 from ..scene.weights import write_weights
@@ -62,6 +63,7 @@ class SkinJob:
             settings,
             splats=f"'{splats.name}'",
             armature=f"Armature '{armature.name}'",
+            up=str(splats.data[names.MARK].get("up", "z")),
         )
         client = WorkerClient(python, folder)
         client.start()

@@ -88,14 +88,14 @@ def _check_overlap(cloud: SplatCloud, skeleton: Skeleton, splats: str, armature:
     if elsewhere[best] >= here + 0.3:
         raise InputError(
             f"{armature} does not overlap {_inner(splats)}: only {here:.0%} of its bones lie within them; "
-            f"with the up axis {best} it would be {elsewhere[best]:.0%}, "
-            f"so import the splats with Up Axis {best} (--ply-up={best})."
+            f"with {best.upper()} up it would be {elsewhere[best]:.0%}, "
+            f"so import the splats with Up set to {best.upper()} (--ply-up={best})."
         )
     if here < 0.1:
         raise InputError(
             f"{armature} does not overlap {_inner(splats)}: only {here:.0%} of its bones lie within them; "
-            "move or scale the armature onto the splats, or import the splats with another "
-            "Up Axis (--ply-up=z, y or -y)."
+            "move or scale the armature onto the splats, or import the splats with another Up axis "
+            "(--ply-up=z, y or -y)."
         )
 
 
