@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command line without Blender: options, exit codes, one sentence per error, and drawing a .ply."""
+
+from __future__ import annotations
+
+import errno
+import io
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import worker_jobs as jobs
+from PIL import Image
+
+import gskin_addon
+from gskin_addon import cli
+from gskin_addon.commands import render, rig
+from gskin_addon.commands.console import ProgressPrinter, describe
+from gskin_addon.commands.pose import parse_turns
+from gskin_addon.core.errors import Cancelled, GSkinError, InputError
+from gskin_addon.core.splats.ply import write_ply
+from gskin_addon.core.worker.client import ProgressEvent
+
+PROGRAM = Path(gskin_addon.__file__).with_name("cli.py")
+
+
+@pytest.fixture
+def rod(tmp_path):
+    path = tmp_path / "rod.ply"
+    write_ply(path, jobs.rod(300)[0])
+    return path
+
+
+def one_sentence(text: str) -> bool:
+    return text.count("\n") == 1 and text.rstrip().endswith((".", "--help."))
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["fly"],
+        ["rig"],
+        ["rig", "a.ply", "--armature", "r.glb"],
+        ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--preset", "hasty"],
+        ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--guidance", "magic"],
+        ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--max-influences", "0"],
+        ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--seed", "-1"],
+        ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--arm", "x"],
+        ["render", "a.ply", "--out", "o.png", "--background", "1", "2", "0"],
+        ["render", "a.ply", "--out", "o.png", "--size", "many"],
+    ],
+)
+def test_wrong_options_are_one_sentence_and_exit_2(arguments, capsys):
+    assert cli.main(arguments) == 2
+    assert one_sentence(capsys.readouterr().err)
+
+
+def test_help_and_version_exit_0(capsys):
+    assert cli.main(["--help"]) == 0
+    assert cli.main(["rig", "--help"]) == 0
+    assert cli.main(["--version"]) == 0
+    assert "Exit codes" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("changed", "word"),
+    [
+        ({"splats": "none.ply"}, "does not exist"),
+        ({"splats": "rod.splat"}, "no .ply"),
+        ({"out": "out.fbx"}, ".blend or .glb"),
+        ({"out": "nowhere/out.blend"}, "make"),
+        ({"weights": "w.txt"}, ".npz"),
+        ({"python": "no/such/python"}, "does not exist"),
+        ({"splats": "mesh.ply"}, "mesh.ply"),
+        ({"splats": "cut.ply"}, "cut off"),
+        ({"splats": "hole.ply"}, "hole.ply"),
+        ({"option": "novalue"}, "NAME=VALUE"),
+    ],
+)
+def test_bad_input_exits_2_before_blender_is_needed(changed, word, rod, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("GSKIN_PYTHON", sys.executable)
+    monkeypatch.setattr(rig, "require_bpy", lambda: pytest.fail("bad input must be seen first"))
+    mesh = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+    (tmp_path / "mesh.ply").write_text(mesh + "element face 0\nproperty list uchar int i\nend_header\n0 0 0\n")
+    (tmp_path / "cut.ply").write_bytes(rod.read_bytes()[:-100])
+    cloud = jobs.rod(300)[0]
+    cloud.means[7, 1] = np.nan
+    write_ply(tmp_path / "hole.ply", cloud)
+    if "python" in changed:
+        monkeypatch.delenv("GSKIN_PYTHON")
+    if "option" in changed:
+        monkeypatch.setattr(rig, "require_bpy", lambda: rig.parse_guidance_options([changed["option"]]))
+    arguments = ["rig", str(tmp_path / changed.get("splats", "rod.ply")), "--armature", "rig.blend"]
+    arguments += ["--out", str(tmp_path / changed.get("out", "out.blend"))]
+    arguments += ["--weights", str(tmp_path / changed.get("weights", "w.npz"))]
+    if "python" in changed:
+        arguments += ["--python", changed["python"]]
+    assert cli.main(arguments) == 2
+    text = capsys.readouterr().err
+    assert one_sentence(text)
+    assert word in text
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "word"),
+    [
+        (KeyboardInterrupt(), 130, "Cancelled"),
+        (Cancelled("x"), 130, "Cancelled"),
+        (InputError("the file 'x' is odd; mend it."), 2, "The file 'x' is odd; mend it."),
+        (GSkinError("It broke."), 1, "It broke."),
+        (OSError(errno.ENOSPC, "No space left on device", "w.npz"), 1, "disk is full"),
+        (ZeroDivisionError("by nought"), 1, "ZeroDivisionError"),
+    ],
+)
+def test_what_goes_wrong_becomes_a_code_and_a_sentence(error, code, word, monkeypatch, capsys):
+    def fail(options):
+        raise error
+
+    monkeypatch.setattr(render, "run", fail)
+    before = signal.getsignal(signal.SIGINT)
+    assert cli.main(["render", "a.ply", "--out", "o.png"]) == code
+    text = capsys.readouterr().err
+    assert one_sentence(text)
+    assert word in text
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_verbose_tells_where(monkeypatch, capsys):
+    monkeypatch.setattr(render, "run", lambda options: 1 / 0)
+    assert cli.main(["render", "a.ply", "--out", "o.png", "--verbose"]) == 1
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_render_draws_a_ply(rod, tmp_path):
+    out = tmp_path / "rod.png"
+    arguments = ["render", str(rod), "--out", str(out), "--size", "96", "--view", "front"]
+    assert cli.main([*arguments, "--background", "0", "0", "1"]) == 0
+    upright = np.asarray(Image.open(out)).astype(int)
+    assert upright.shape == (96, 96, 3)
+    assert upright[0, 0].tolist() == [0, 0, 255]
+    drawn = (np.abs(upright - [0, 0, 255]).sum(axis=2) > 40).nonzero()
+    assert np.ptp(drawn[0]) > 3 * np.ptp(drawn[1])
+    assert cli.main([*arguments, "--ply-up", "y"]) == 0
+    lying = np.asarray(Image.open(out)).astype(int)
+    drawn = (np.abs(lying - [0, 0, 255]).sum(axis=2) > 40).nonzero()
+    assert np.ptp(drawn[0]) < 1.5 * np.ptp(drawn[1])  # seen along its axis
+
+
+@pytest.mark.parametrize("extra", [["--color", "weights"], ["--engine", "cycles"], ["--rotate", "a", "1", "2", "3"]])
+def test_a_ply_has_no_rig(rod, tmp_path, extra, capsys):
+    assert cli.main(["render", str(rod), "--out", str(tmp_path / "o.png"), *extra]) == 2
+    assert one_sentence(capsys.readouterr().err)
+
+
+def test_started_by_its_path_with_and_without_a_double_dash(rod, tmp_path):
+    out = tmp_path / "o.png"
+    for dash in ([], ["--"]):
+        command = [sys.executable, str(PROGRAM), *dash, "render", str(rod), "--out", str(out), "--size", "32"]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout == ""
+        out.unlink()
+
+
+def test_parsing_of_turns_and_guidance_options():
+    assert parse_turns([["arm", "1", "-2.5", "3e1"]]) == {"arm": (1.0, -2.5, 30.0)}
+    with pytest.raises(InputError, match="arm"):
+        parse_turns([["arm", "1", "much", "3"]])
+    given = rig.parse_guidance_options(["weights=/a=b.npz", "steps=3", "soft=true"])
+    assert given == {"weights": "/a=b.npz", "steps": 3, "soft": True}
+
+
+def test_progress_on_lines_bar_and_json():
+    events = [ProgressEvent("initial", 0.01), ProgressEvent("initial", 0.02, 65.0), ProgressEvent("learn", 0.5, 9.0)]
+    shown = {}
+    for mode in ("auto", "bar", "json", "none"):
+        stream = io.StringIO()
+        printer = ProgressPrinter(mode, stream)
+        for event in events:
+            printer(event)
+        printer.close()
+        shown[mode] = stream.getvalue()
+    assert shown["auto"].splitlines() == ["  1 %  initial", " 50 %  learn, 0:09 left"]
+    assert shown["bar"].count("\r") == 3
+    assert shown["bar"].endswith("\n")
+    assert len(shown["json"].splitlines()) == 3
+    assert '"seconds_left": 65.0' in shown["json"]
+    assert shown["none"] == ""
+    assert describe(events[1]) == "  2 %  initial, 1:05 left"
