@@ -93,6 +93,15 @@ def geometry_group(name: str, version: int, inputs: list[tuple[str, str, dict[st
     return group, True
 
 
+def find_group(obj: bpy.types.Object, name: str) -> bpy.types.NodesModifier | None:
+    """The object's modifier with our node group `name`, whatever the modifier or the group are called by now."""
+    for modifier in obj.modifiers:
+        group = modifier.node_group if modifier.type == "NODES" else None
+        if group is not None and group.get("gskin_group") == name:
+            return modifier
+    return None
+
+
 def set_input(modifier: bpy.types.NodesModifier, name: str, value: Any) -> None:
     """Set a node group's input on a modifier by its label."""
     identifier = _identifier(modifier, name)

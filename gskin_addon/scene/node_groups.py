@@ -14,13 +14,13 @@ import bpy
 
 from . import names
 from .materials import FAINTEST, render_material, viewport_material
-from .node_builder import Tree, geometry_group, get_input, set_input
+from .node_builder import Tree, find_group, geometry_group, get_input, set_input
 
 VERSION = 1
 
 VIEWPORT_LIMIT = 100_000
-VIEWPORT_SIGMAS = 1.5
-"""Radius of an opaque splat drawn solid, in standard deviations: about where it stops to hide what is behind it."""
+VIEWPORT_SIGMAS = 1.2
+"""Radius of a splat drawn solid: about where a Gaussian stops to hide what is behind it."""
 
 _SH_C0 = 0.28209479177387814
 
@@ -68,11 +68,7 @@ def display_group() -> bpy.types.NodeTree:
 
 def find_display(obj: bpy.types.Object) -> bpy.types.NodesModifier | None:
     """The object's display modifier, by its node group and not by its name."""
-    for modifier in obj.modifiers:
-        if modifier.type == "NODES" and modifier.node_group is not None:
-            if modifier.node_group.get("gskin_group") == names.DISPLAY_MODIFIER:
-                return modifier
-    return None
+    return find_group(obj, names.DISPLAY_MODIFIER)
 
 
 def add_display(obj: bpy.types.Object) -> bpy.types.NodesModifier:
@@ -121,9 +117,7 @@ def _build(group: bpy.types.NodeTree) -> None:
         return tree.out("GeometryNodeSampleIndex", "Value", inputs, data_type=kind, domain="POINT")
 
     base = sampled(names.BASE, "FLOAT_COLOR")
-    points = tree.out(
-        "GeometryNodePoints", "Points", {"Count": shown, "Position": sampled("position", "FLOAT_VECTOR")}
-    )
+    points = tree.out("GeometryNodePoints", "Points", {"Count": shown, "Position": sampled("position", "FLOAT_VECTOR")})
     points = tree.out(
         "GeometryNodeStoreNamedAttribute",
         "Geometry",
@@ -155,11 +149,7 @@ def _build(group: bpy.types.NodeTree) -> None:
     octahedron = tree.out("GeometryNodeObjectInfo", "Geometry", {"Object": _octahedron()}, transform_space="ORIGINAL")
     # Fewer splats are drawn larger, so that the surface stays closed.
     wider = tree.math("MULTIPLY", tree.math("SQRT", tree.math("MINIMUM", step, 9.0)), VIEWPORT_SIGMAS)
-    # Solid shapes cannot be faint; small ones show as little as a faint splat does.
-    wider = tree.math("MULTIPLY", wider, opacity)
-    solid = tree.out(
-        "GeometryNodeRealizeInstances", "Geometry", {"Geometry": instances(octahedron, wider, visible)}
-    )
+    solid = tree.out("GeometryNodeRealizeInstances", "Geometry", {"Geometry": instances(octahedron, wider, visible)})
 
     sphere = tree.out("GeometryNodeMeshIcoSphere", "Mesh", {"Radius": 1.0, "Subdivisions": 2})
     sphere = tree.out("GeometryNodeSetMaterial", "Geometry", {"Geometry": sphere, "Material": render_material()})

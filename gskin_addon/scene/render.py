@@ -18,9 +18,7 @@ def prepare_scene(scene: bpy.types.Scene) -> None:
         cycles.transparent_max_bounces = max(cycles.transparent_max_bounces, TRANSPARENT_BOUNCES)
 
 
-def render_still(
-    scene: bpy.types.Scene, path: Path, *, size: tuple[int, int] = (512, 512), samples: int = 32
-) -> None:
+def render_still(scene: bpy.types.Scene, path: Path, *, size: tuple[int, int] = (512, 512), samples: int = 32) -> None:
     """Render the scene's camera to a PNG with Cycles on the CPU, colours as captured (no tone curve).
 
     size: (width, height) in pixels. The scene's own settings are put back afterwards.

@@ -13,7 +13,7 @@ from typing import Any
 import bpy
 
 from . import names
-from .node_builder import Tree, geometry_group, get_input, set_input
+from .node_builder import Tree, find_group, geometry_group, get_input, set_input
 
 VERSION = 1
 FRAMES_INPUT = "Bone Frames"
@@ -29,11 +29,7 @@ def rotation_group() -> bpy.types.NodeTree:
 
 def find_rotation(obj: bpy.types.Object) -> bpy.types.NodesModifier | None:
     """The object's rotation modifier, by its node group and not by its name."""
-    for modifier in obj.modifiers:
-        if modifier.type == "NODES" and modifier.node_group is not None:
-            if modifier.node_group.get("gskin_group") == names.ROTATION_MODIFIER:
-                return modifier
-    return None
+    return find_group(obj, names.ROTATION_MODIFIER)
 
 
 def frames_of(obj: bpy.types.Object) -> bpy.types.Object | None:
@@ -109,7 +105,8 @@ def _blend(tree: Tree, frames: Any, turn: Any) -> Any:
     first_w: Any = None
     first_v: Any = None
     for slot in range(names.INFLUENCES):
-        bone, weight = tree.attribute(names.BONE.format(slot), "INT"), tree.attribute(names.WEIGHT.format(slot), "FLOAT")
+        bone = tree.attribute(names.BONE.format(slot), "INT")
+        weight = tree.attribute(names.WEIGHT.format(slot), "FLOAT")
         inputs = {"Geometry": frames, "Value": turn, "Index": bone}
         sampled = tree.out("GeometryNodeSampleIndex", "Value", inputs, data_type="QUATERNION", domain="POINT")
         quat = tree.node("FunctionNodeRotationToQuaternion", {"Rotation": sampled})
@@ -124,7 +121,8 @@ def _blend(tree: Tree, frames: Any, turn: Any) -> Any:
         total_w = tree.math("MULTIPLY_ADD", w, signed, total_w)
         total_v = tree.vector("ADD", total_v, tree.scale(v, signed))
     parts = tree.node("ShaderNodeSeparateXYZ", {"Vector": total_v})
-    length = tree.math("SQRT", tree.math("MULTIPLY_ADD", total_w, total_w, tree.vector("DOT_PRODUCT", total_v, total_v)))
+    squared = tree.math("MULTIPLY_ADD", total_w, total_w, tree.vector("DOT_PRODUCT", total_v, total_v))
+    length = tree.math("SQRT", squared)
     inputs = {axis: tree.math("DIVIDE", tree.output(parts, axis), length) for axis in "XYZ"}
     inputs["W"] = tree.math("DIVIDE", total_w, length)
     return tree.out("FunctionNodeQuaternionToRotation", "Rotation", inputs)

@@ -59,12 +59,13 @@ def splat_count(obj: bpy.types.Object) -> int:
 def read_cloud(obj: bpy.types.Object, *, world: bool = True) -> SplatCloud:
     """The splats at rest, without modifiers, in world space or (world=False) in the object's own.
 
-    Raises InputError: not a splat object, splats with missing attributes, non-uniform or mirrored scale.
+    Raises InputError: not a splat object, in Edit Mode, missing attributes, non-uniform or mirrored scale.
     """
     if not is_splat_object(obj):
-        raise InputError(f"'{getattr(obj, 'name', obj)}' is no splat object; import a Gaussian splat .ply and select it.")
-    if obj.mode == "EDIT":
-        obj.update_from_editmode()
+        raise InputError(
+            f"'{getattr(obj, 'name', obj)}' is no splat object; import a Gaussian splat .ply and select it."
+        )
+    refuse_edit_mode(obj)
     mesh = obj.data
     if len(mesh.vertices) == 0:
         raise InputError(f"'{obj.name}' has no splats left; import it again.")
@@ -94,6 +95,12 @@ def replace_cloud(obj: bpy.types.Object, cloud: SplatCloud) -> None:
             "create a new object for them."
         )
     _write_columns(obj.data, cloud)
+
+
+def refuse_edit_mode(obj: bpy.types.Object) -> None:
+    """InputError while the object's mesh is being edited: its attributes are elsewhere then."""
+    if obj.mode == "EDIT":
+        raise InputError(f"'{obj.name}' is in Edit Mode; leave it (Tab) and try again.")
 
 
 def _write_columns(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:

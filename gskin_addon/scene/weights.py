@@ -18,7 +18,7 @@ from .attributes import write_attribute
 from .bone_frames import armature_modifier, armature_of, bone_order, ensure_bone_frames
 from .node_groups import find_display
 from .rotation_nodes import add_rotation, frames_of
-from .splat_object import is_splat_object
+from .splat_object import is_splat_object, refuse_edit_mode
 from .transforms import world_similarity
 
 Array = NDArray[Any]
@@ -67,8 +67,7 @@ def read_weights(obj: bpy.types.Object, bones: Sequence[str] | None = None) -> t
         if armature is None:
             raise InputError(f"'{obj.name}' follows no armature; bind it to one first.")
         bones = deform_bone_names(armature)
-    if obj.mode == "EDIT":
-        obj.update_from_editmode()
+    refuse_edit_mode(obj)
     place = {name: index for index, name in enumerate(bones)}
     lookup = np.array([place.get(group.name, -1) for group in obj.vertex_groups] or [-1])
     vertices = obj.data.vertices
@@ -91,8 +90,7 @@ def bind(obj: bpy.types.Object, armature: bpy.types.Object) -> bpy.types.Object:
     """
     if not is_splat_object(obj):
         raise InputError(f"'{obj.name}' is no splat object; import a Gaussian splat .ply and select it.")
-    if obj.mode == "EDIT":
-        raise InputError(f"'{obj.name}' is in Edit Mode; leave it (Tab) and try again.")
+    refuse_edit_mode(obj)
     world_similarity(obj)
     frames = ensure_bone_frames(armature)
     if obj.parent != armature:

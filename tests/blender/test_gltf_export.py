@@ -17,18 +17,18 @@ from glb import Glb
 
 bpy = pytest.importorskip("bpy")
 
-import gskin_addon  # noqa: E402
-from gskin_addon.core.errors import GSkinError, InputError  # noqa: E402
-from gskin_addon.core.rig.lbs import top_influences  # noqa: E402
-from gskin_addon.core.rig.quaternion import matrix_to_quat, quat_multiply, quat_to_matrix  # noqa: E402
-from gskin_addon.core.splats.axes import rotate_cloud, up_rotation  # noqa: E402
-from gskin_addon.core.splats.gltf import decode_attributes, fallback_color  # noqa: E402
-from gskin_addon.scene import gltf_export  # noqa: E402
-from gskin_addon.scene.attributes import read_attribute, read_positions  # noqa: E402
-from gskin_addon.scene.gltf_export import SplatExport, export_glb  # noqa: E402
-from gskin_addon.scene.node_groups import find_display  # noqa: E402
-from gskin_addon.scene.splat_object import create_splat_object, read_cloud  # noqa: E402
-from gskin_addon.scene.weights import write_weights  # noqa: E402
+import gskin_addon
+from gskin_addon.core.errors import GSkinError, InputError
+from gskin_addon.core.rig.lbs import top_influences
+from gskin_addon.core.rig.quaternion import matrix_to_quat, quat_multiply, quat_to_matrix
+from gskin_addon.core.splats.axes import rotate_cloud, up_rotation
+from gskin_addon.core.splats.gltf import decode_attributes, fallback_color
+from gskin_addon.scene import gltf_export
+from gskin_addon.scene.attributes import read_attribute, read_positions
+from gskin_addon.scene.gltf_export import SplatExport, export_glb
+from gskin_addon.scene.node_groups import find_display
+from gskin_addon.scene.splat_object import create_splat_object, read_cloud
+from gskin_addon.scene.weights import write_weights
 
 COUNT = 400
 BONES = {
