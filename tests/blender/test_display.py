@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How splats are drawn: the viewport's mesh, the render's instances, and a picture."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import rig_scenes as rigs
+import splat_clouds as clouds
+from PIL import Image
+
+bpy = pytest.importorskip("bpy")
+
+from gskin_addon.core.rig.quaternion import quat_to_matrix
+from gskin_addon.core.splats.cloud import SH_C0, SplatCloud
+from gskin_addon.scene import names
+from gskin_addon.scene.attributes import read_attribute, read_positions
+from gskin_addon.scene.node_groups import VIEWPORT_SIGMAS, add_display, get_display, set_display
+from gskin_addon.scene.render import prepare_scene, render_still
+from gskin_addon.scene.splat_object import create_splat_object
+from gskin_addon.scene.weights import write_weights
+
+CORNERS = 6
+
+
+@pytest.fixture(autouse=True)
+def empty():
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+def drawn(obj):
+    return obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+
+
+def linear(srgb):
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+
+
+def test_viewport_ellipsoids_have_place_shape_and_colour():
+    cloud = clouds.random_cloud(40, 1)
+    obj = create_splat_object(cloud, "S")
+    set_display(obj, "Minimum Opacity", 0.0)
+    set_display(obj, "Size", 2.0)
+    mesh = drawn(obj)
+    corners = read_positions(mesh).reshape(40, CORNERS, 3)
+    np.testing.assert_allclose(corners.mean(axis=1), cloud.means, atol=1e-5)
+    # Opposite corners of the octahedron lie on the splat's axes.
+    half = (corners[:, 0::2] - corners[:, 1::2]) / 2
+    axes = quat_to_matrix(cloud.quats).transpose(0, 2, 1) * cloud.scales[:, :, None] * 2.0 * VIEWPORT_SIGMAS
+    np.testing.assert_allclose(half, axes, atol=1e-5)
+    color = read_attribute(mesh, names.COLOR).reshape(40, CORNERS, 4)[:, 0]
+    np.testing.assert_allclose(color[:, :3], linear(cloud.base_colors().astype(float)), atol=1e-5)
+    np.testing.assert_allclose(color[:, 3], cloud.opacities, atol=1e-6)
+
+
+def test_solid_mode_finds_the_colours():
+    mesh = drawn(create_splat_object(clouds.random_cloud(10, 0), "S"))
+    assert mesh.color_attributes.active_color_name == names.COLOR
+    assert [m.name for m in mesh.materials] == ["GSkin Splats (Viewport)"]
+
+
+def test_no_spherical_harmonics_on_the_drawn_mesh():
+    mesh = drawn(create_splat_object(clouds.random_cloud(10, 4), "S"))
+    assert not [a.name for a in mesh.attributes if a.name.startswith("radiance")]
+
+
+def test_limit_opacity_and_switch():
+    cloud = clouds.random_cloud(1000, 0)
+    obj = create_splat_object(cloud, "S")
+    set_display(obj, "Minimum Opacity", 0.7)
+    assert len(drawn(obj).vertices) == CORNERS * int((cloud.opacities >= np.float32(0.7)).sum())
+    set_display(obj, "Minimum Opacity", 0.0)
+    set_display(obj, "Viewport Limit", 300)
+    centres = read_positions(drawn(obj)).reshape(-1, CORNERS, 3).mean(axis=1)
+    assert len(centres) == 300
+    np.testing.assert_allclose(centres, cloud.means[np.floor(np.arange(300) * (1000 / 300)).astype(int)], atol=1e-5)
+    set_display(obj, "Display", False)
+    assert get_display(obj, "Display") is False
+    assert len(drawn(obj).vertices) == 1000
+
+
+def test_one_group_and_one_modifier_however_often():
+    first = create_splat_object(clouds.random_cloud(5, 0), "A")
+    second = create_splat_object(clouds.random_cloud(5, 0), "B")
+    add_display(first)
+    assert len(first.modifiers) == 1
+    assert first.modifiers[0].node_group == second.modifiers[0].node_group
+    assert len(bpy.data.node_groups) == 1
+    assert len(bpy.data.materials) == 2
+
+
+def test_raised_bounces_never_fall():
+    scene = bpy.context.scene
+    prepare_scene(scene)
+    assert scene.cycles.transparent_max_bounces == 256
+    scene.cycles.transparent_max_bounces = 500
+    prepare_scene(scene)
+    assert scene.cycles.transparent_max_bounces == 500
+
+
+@pytest.fixture
+def studio():
+    """A camera that looks along +y at the origin, orthographic, 2 m wide, on a white world."""
+    scene = bpy.context.scene
+    camera = bpy.data.objects.new("C", bpy.data.cameras.new("C"))
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    camera.location, camera.rotation_euler = (0, -5, 0), (np.pi / 2, 0, 0)
+    camera.data.type, camera.data.ortho_scale = "ORTHO", 2.0
+    scene.world = bpy.data.worlds.new("W")
+    scene.world.use_nodes = True
+    scene.world.node_tree.nodes["Background"].inputs[0].default_value = (1, 1, 1, 1)
+    return scene
+
+
+def test_a_render_shows_gaussians(studio, tmp_path):
+    """Two splats, one turned before the other: alpha and order against the formula, pixel by pixel."""
+    quats = np.array([[1, 0, 0, 0], [np.cos(0.3), 0, np.sin(0.3), 0]], np.float32)
+    scales = np.array([[0.3, 0.2, 0.1], [0.1, 0.05, 0.25]], np.float32)
+    means = np.array([[0.1, 0.5, 0.1], [-0.1, -0.5, 0]], np.float32)
+    opacity = np.array([0.9, 0.6], np.float32)
+    srgb = np.array([[0.8, 0.2, 0.1], [0.1, 0.3, 0.9]])
+    sh = ((srgb - 0.5) / SH_C0)[:, None].astype(np.float32)
+    create_splat_object(SplatCloud(means, quats, scales, opacity, sh), "S")
+    path = tmp_path / "shot.png"
+    before = studio.render.resolution_x
+    render_still(studio, path, size=(64, 64), samples=32)
+    assert studio.render.resolution_x == before
+    image = np.asarray(Image.open(path).convert("RGB")) / 255.0
+
+    x, z = np.meshgrid((np.arange(64) + 0.5) / 32 - 1, 1 - (np.arange(64) + 0.5) / 32)
+    wanted = np.ones((64, 64, 3))
+    for splat in (0, 1):  # far to near
+        axes = quat_to_matrix(quats[splat].astype(float)) * scales[splat]
+        flat = np.linalg.inv((axes @ axes.T)[np.ix_([0, 2], [0, 2])])
+        off = np.stack([x - means[splat, 0], z - means[splat, 2]], axis=-1)
+        alpha = opacity[splat] * np.exp(-0.5 * np.einsum("hwi,ij,hwj->hw", off, flat, off))
+        wanted += alpha[..., None] * (linear(srgb[splat]) - wanted)
+    shown = np.where(wanted <= 0.0031308, wanted * 12.92, 1.055 * wanted ** (1 / 2.4) - 0.055)
+    assert np.abs(image - shown).mean() < 0.01
+    assert np.abs(image - shown).max() < 0.12
+
+
+def test_rendering_draws_the_pose(studio, tmp_path):
+    """No Python between frames: a splat that a bone carries is elsewhere in the next frame's picture."""
+    rng = np.random.default_rng(2)
+    cloud = SplatCloud(
+        np.zeros((1, 3)), np.array([[1, 0, 0, 0]]), np.full((1, 3), 0.1), np.ones(1), np.full((1, 1, 3), -2.0)
+    )
+    obj, armature = create_splat_object(cloud, "S"), rigs.make_chains(2, rng)
+    write_weights(obj, armature, np.array([[1.0, 0.0]]))
+    bone = armature.pose.bones[0]
+    bone.keyframe_insert("location", frame=1)
+    bone.matrix = armature.matrix_world.inverted() @ bone.matrix
+    bone.location.x += 0.6
+    bone.keyframe_insert("location", frame=2)
+    darkest = []
+    for frame in (1, 2):
+        studio.frame_set(frame)
+        render_still(studio, tmp_path / f"{frame}.png", size=(40, 40), samples=4)
+        image = np.asarray(Image.open(tmp_path / f"{frame}.png").convert("L")).astype(int)
+        darkest.append(np.array(np.unravel_index(image.argmin(), image.shape)))
+    assert np.linalg.norm(darkest[1] - darkest[0]) > 4
+
+
+def test_posing_with_display_stays_fluent():
+    """100,000 splats drawn, 50 bones: 60 ms a pose on two cores."""
+    rng = np.random.default_rng(1)
+    cloud = clouds.random_cloud(100_000, 0)
+    obj, armature = create_splat_object(cloud, "S"), rigs.make_chains(50, rng)
+    write_weights(obj, armature, rigs.random_weights(cloud, 50, rng))
+    rigs.random_pose(armature, rng)
+    cost = rigs.pose_change_cost(armature, "bone.020")
+    print(f"one pose change, 100,000 splats drawn: {cost:.3f} s of processor time")
+    assert cost < 2 * 0.06
