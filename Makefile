@@ -6,12 +6,13 @@ RUN = $(VENV)/bin/python
 STAMP = $(VENV)/gskin-setup.sha256
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test lint zip clean
+.PHONY: help venv demo test test-window lint zip clean
 
 help:
 	@echo 'make venv    the environment in $(VENV), with all that gskin needs'
 	@echo 'make demo    a sample character, auto-skinned, into out/demo'
 	@echo 'make test    the test suite'
+	@echo 'make test-window   the extension in a real Blender window: BLENDER=/path/to/blender, or as root one of Debian'
 	@echo 'make lint    ruff and mypy'
 	@echo 'make zip     the Blender extension, into dist'
 
@@ -25,6 +26,9 @@ demo: $(STAMP)
 
 test: $(STAMP)
 	@$(RUN) -m pytest
+
+test-window: $(STAMP)
+	@$(RUN) tests/window $(if $(PICTURES),--pictures)
 
 lint: $(STAMP)
 	@$(RUN) -m ruff check .

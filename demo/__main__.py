@@ -27,6 +27,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=Path("out/demo"), help="folder for the results")
     parser.add_argument("--splats", type=int, default=SPLATS, help="number of splats (default: %(default)s)")
     parser.add_argument("--preset", default="standard", help="preset of the job (default: %(default)s)")
+    parser.add_argument("--character-only", action="store_true", help="make the splats and the rig, no more")
     options = parser.parse_args()
     out: Path = options.out
     out.mkdir(parents=True, exist_ok=True)
@@ -48,6 +49,8 @@ def main() -> int:
     weights = out / "weights.npz"
     write_ply(ply, cloud)
     save_blend(rig)
+    if options.character_only:
+        return 0
 
     say(f"{cloud.count:,} splats in {ply}; the job sees these and {rig}, nothing else")
     gskin("rig", ply, "--armature", rig, "--out", rigged, "--weights", weights, "--preset", options.preset)

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A story played inside a running Blender window: steps that wait without blocking, a heartbeat, keys, pictures."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import time
+import traceback
+from collections.abc import Callable, Generator
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+BEAT = 0.02
+"""Seconds between two beats of the heart: Blender's event loop calls it unless something holds the loop up."""
+
+Wait = float | Callable[[], Any]
+Story = Generator[Wait, None, None]
+
+
+class Stage:
+    """Runs a story from Blender's timers, and writes what came of it to `out`/result.json."""
+
+    def __init__(self, out: Path, patience: float = 300.0) -> None:
+        self.out, self.patience = out, patience
+        self.checks: list[tuple[str, bool, str]] = []
+        self.numbers: dict[str, float] = {}
+        self.beats: list[tuple[float, str]] = []
+        self.chapter = ""
+        self._story: Story | None = None
+        self._wait: Wait = 0.0
+        self._since = time.monotonic()
+
+    def play(self, story: Story) -> None:
+        """Start; returns at once."""
+        self._story = story
+        bpy.app.timers.register(self._beat, first_interval=0.5, persistent=True)
+
+    def check(self, what: str, good: Any, seen: Any = "") -> None:
+        """Note whether something is as it should be; the story goes on either way."""
+        self.checks.append((what, bool(good), str(seen)))
+        print(f"{'ok  ' if good else 'FAIL'} {what}" + (f": {seen}" if str(seen) else ""), flush=True)
+
+    def gaps(self, chapter: str) -> list[float]:
+        """Seconds between beats of which the later one fell in `chapter`."""
+        pairs = zip(self.beats, self.beats[1:], strict=False)
+        return [late - early for (early, _), (late, name) in pairs if name == chapter]
+
+    def _beat(self) -> float | None:
+        self.beats.append((time.monotonic(), self.chapter))
+        try:
+            while self._ready():
+                self._wait = next(self._story)
+                self._since = time.monotonic()
+        except StopIteration:
+            self._end()
+            return None
+        except Exception:
+            traceback.print_exc()
+            self.check("the story runs to its end", False, traceback.format_exc(limit=1).splitlines()[-1])
+            self._end()
+            return None
+        return BEAT
+
+    def _ready(self) -> bool:
+        waited = time.monotonic() - self._since
+        if isinstance(self._wait, int | float):
+            return waited >= self._wait
+        if self._wait():
+            return True
+        if waited > self.patience:
+            raise TimeoutError(f"waited {waited:.0f} s in chapter '{self.chapter}'")
+        return False
+
+    def _end(self) -> None:
+        result = {"checks": self.checks, "numbers": self.numbers}
+        (self.out / "result.json").write_text(json.dumps(result, indent=1))
+        bpy.ops.wm.quit_blender()
+
+
+class Hands:
+    """The mouse, the keyboard and a camera, outside of Blender."""
+
+    def __init__(self, out: Path) -> None:
+        self.out = out
+
+    def keys(self, *names: str) -> Story:
+        """Press keys by their X names, one after the other."""
+        yield from self._run("xdotool", "key", "--delay", "60", *names)
+
+    def text(self, words: str) -> Story:
+        """Type."""
+        yield from self._run("xdotool", "type", "--delay", "40", words)
+
+    def move(self, x: int, y: int) -> Story:
+        """Move the mouse; y counts from the top, as X does."""
+        yield from self._run("xdotool", "mousemove", str(x), str(y))
+
+    def click(self, x: int, y: int) -> Story:
+        """Move there and press the left button."""
+        yield from self._run("xdotool", "mousemove", str(x), str(y), "sleep", "0.15", "click", "1")
+
+    def drag(self, start: tuple[int, int], end: tuple[int, int]) -> Story:
+        """Press at `start`, let go at `end`."""
+        words = ["mousemove", *map(str, start), "sleep", "0.3", "mousedown", "1", "sleep", "0.2"]
+        middle = [(a + b) // 2 for a, b in zip(start, end, strict=True)]
+        words += ["mousemove", *map(str, middle), "sleep", "0.1", "mousemove", *map(str, end), "sleep", "0.2"]
+        yield from self._run("xdotool", *words, "mouseup", "1")
+
+    def shoot(self, name: str) -> Story:
+        """A picture of the whole screen."""
+        path = str(self.out / f"{name}.png")
+        yield from self._run("import", "-window", "root", "-define", "png:compression-level=9", path)
+
+    def _run(self, *command: str) -> Story:
+        process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
+        yield lambda: process.poll() is not None
+        if process.returncode != 0:
+            raise RuntimeError(f"{' '.join(command)} ended with {process.returncode}")
+        yield 0.1
+
+
+class View:
+    """The 3D view of the first window. Looked up at every use: loading a file makes new ones."""
+
+    @property
+    def window(self) -> Any:
+        return bpy.context.window_manager.windows[0]
+
+    @property
+    def area(self) -> Any:
+        areas = (area for area in self.window.screen.areas if area.type == "VIEW_3D")
+        return max(areas, key=lambda area: area.width * area.height)
+
+    def region(self, kind: str = "WINDOW") -> Any:
+        return next(region for region in self.area.regions if region.type == kind)
+
+    @property
+    def space(self) -> Any:
+        return self.area.spaces.active
+
+    def override(self, kind: str = "WINDOW") -> Any:
+        """The context of an operator that a person calls in this view."""
+        return bpy.context.temp_override(window=self.window, area=self.area, region=self.region(kind))
+
+    def middle(self) -> tuple[int, int]:
+        """The middle of the view in X's pixels."""
+        region = self.region()
+        return region.x + region.width // 2, self.window.height - (region.y + region.height // 2)
+
+    def find_button(self, hands: Hands, operator: str) -> Generator[Wait, None, tuple[int, int] | None]:
+        """Where in the side bar the button of `operator` is, found by moving the mouse down along it."""
+        manager, region = bpy.context.window_manager, self.region("UI")
+        x = region.x + region.width // 2
+        for y in range(self.window.height - region.y - region.height + 40, self.window.height - region.y, 12):
+            yield from hands.move(x, y)
+            manager.clipboard = ""
+            with self.override("UI"):
+                if bpy.ops.ui.copy_python_command_button.poll():
+                    bpy.ops.ui.copy_python_command_button()
+            if operator in manager.clipboard:
+                return x, y
+        return None
