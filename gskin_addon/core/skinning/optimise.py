@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from ..render.camera import Camera
 from ..render.cpu import DILATION, ImageLoss
-from ..render.photometric import photometric_loss
+from ..render.photometric import Box, content_box, photometric_loss
 from ..render.rasterizer import Scene, prepare, view_colors
 from ..rig.skeleton import Skeleton
 from ..splats.cloud import SplatCloud
 from .arap import arap_loss
 from .coupling import coupling_loss, prepare_coupling
+from .fields.base import WeightField
 from .posing import pose_splats
 from .presets import Preset
 
@@ -61,7 +62,7 @@ class Optimiser:
         self,
         cloud: SplatCloud,
         skeleton: Skeleton,
-        field: torch.nn.Module,
+        field: WeightField,
         targets: Sequence[Target],
         preset: Preset,
         *,
@@ -76,10 +77,12 @@ class Optimiser:
         self._cloud, self._background = cloud, background
         self._rng = np.random.default_rng(seed)
         self._queue: list[int] = []
-        self._adam = torch.optim.Adam(field.parameters(), lr=preset.learning_rate, betas=(0.9, 0.99))
+        self._rate = preset.learning_rate * field.rate
+        self._adam = torch.optim.Adam(field.parameters(), lr=self._rate, betas=(0.9, 0.99))
         self._means = torch.from_numpy(cloud.means)
         self._quats = torch.from_numpy(cloud.quats)
         self._scenes: dict[tuple[bytes, int], Scene] = {}
+        self._boxes: dict[tuple[int, int], Box] = {}
         self._coupling = prepare_coupling(cloud.means, skeleton)
         count = min(NEIGHBOURS + 1, cloud.count)
         self._neighbours = cKDTree(cloud.means).query(cloud.means, count)[1][:, 1:].astype(np.int64)
@@ -91,7 +94,7 @@ class Optimiser:
         """One iteration on the next batch; returns the parts of the loss."""
         size = self._size_now()
         for group in self._adam.param_groups:
-            group["lr"] = self.preset.learning_rate * self._decay()
+            group["lr"] = self._rate * self._decay()
         batch = [self._next_target() for _ in range(min(self.preset.batch, len(self.targets)))]
         transforms = np.stack([self.targets[i].transforms for i in batch])
         weights = self.field()
@@ -104,7 +107,10 @@ class Optimiser:
         loss.backward()  # type: ignore[no-untyped-call]
         self._adam.step()
         self.iteration += 1
-        return {"render": float(render), "arap": float(arap), "coupling": float(coupling)}
+        return {
+            name: float(part.detach())
+            for name, part in (("render", render), ("arap", arap), ("coupling", coupling))
+        }
 
     def weights(self) -> NDArray[np.float32]:
         """The present weights (N, B), rows sum to 1."""
@@ -168,7 +174,7 @@ class Optimiser:
                 means[slots],
                 quats[slots],
                 [target.camera.resized(size) for target in targets],
-                [self._loss(target, size) for target in targets],
+                [self._loss(batch[slot], size) for slot in slots],
                 self._background,
             )
             total += float(values.sum())
@@ -187,14 +193,23 @@ class Optimiser:
             )
         return self._scenes[key]
 
-    def _loss(self, target: Target, size: int) -> ImageLoss:
+    def _loss(self, index: int, size: int) -> ImageLoss:
         """The photometric loss of a guidance image, box-averaged where it was made larger than `size`."""
-        image = target.image
+        image: NDArray[Any] = self.targets[index].image
         factor = image.shape[0] // size
         if factor > 1:
             blocks = image.reshape(size, factor, size, factor, 3).astype(np.float32)
             image = blocks.mean(axis=(1, 3)) / np.float32(255)
-        return photometric_loss(image, self._background, weight=self.losses.dssim)
+        key = (index, size)
+        if key not in self._boxes:
+            self._boxes[key] = content_box(self._differs(image))
+        return photometric_loss(image, self._background, weight=self.losses.dssim, box=self._boxes[key])
+
+    def _differs(self, image: NDArray[Any]) -> NDArray[np.bool_]:
+        """Pixels (H, W) of an image that are not bare background."""
+        unit = 255.0 if image.dtype == np.uint8 else 1.0
+        background = np.asarray(self._background) * unit
+        return (np.abs(image - background) > 1e-4 * unit).any(axis=-1)
 
     def _arap(self, means: torch.Tensor) -> torch.Tensor:
         count = means.shape[1]
