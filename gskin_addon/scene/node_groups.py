@@ -13,6 +13,7 @@ from typing import Any
 import bpy
 
 from . import names
+from .display_colors import SHOW_BONES, SHOW_WEIGHTS_OF, splat_color
 from .materials import FAINTEST, render_material, viewport_material
 from .node_builder import Tree, find_group, geometry_group, get_input, set_input
 
@@ -21,8 +22,6 @@ VERSION = 1
 VIEWPORT_LIMIT = 100_000
 VIEWPORT_SIGMAS = 1.2
 """Radius of a splat drawn solid: about where a Gaussian stops to hide what is behind it."""
-
-_SH_C0 = 0.28209479177387814
 
 _INPUTS: list[tuple[str, str, dict[str, Any]]] = [
     (
@@ -55,6 +54,16 @@ _INPUTS: list[tuple[str, str, dict[str, Any]]] = [
             "description": "Splats below this opacity are not drawn in the viewport, where all look opaque",
         },
     ),
+    (
+        SHOW_BONES,
+        "NodeSocketBool",
+        {"default_value": False, "description": "Colour every splat by the bones that turn it, not as captured"},
+    ),
+    (
+        SHOW_WEIGHTS_OF,
+        "NodeSocketString",
+        {"description": "Bone whose weights are shown, from blue (0) to red (1); empty for none"},
+    ),
 ]
 
 
@@ -85,7 +94,7 @@ def add_display(obj: bpy.types.Object) -> bpy.types.NodesModifier:
 
 
 def set_display(obj: bpy.types.Object, name: str, value: Any) -> None:
-    """Set an input of the display: "Display", "Viewport Limit", "Size" or "Minimum Opacity"."""
+    """Set an input of the display by its label in `_INPUTS`, as "Display" or "Viewport Limit"."""
     set_input(add_display(obj), name, value)
 
 
@@ -110,23 +119,24 @@ def _build(group: bpy.types.NodeTree) -> None:
     index = tree.out("GeometryNodeInputIndex", "Index")
     splat = tree.math("FLOOR", tree.math("MULTIPLY", index, step))
 
-    def sampled(name: str, kind: str) -> Any:
+    def sampled(name: Any, kind: str) -> Any:
         # Sampling from new points instead of deleting and instancing the splats' own: nothing copies their
         # up to 75 SH attributes.
         inputs = {"Geometry": splats, "Value": tree.attribute(name, kind), "Index": splat}
         return tree.out("GeometryNodeSampleIndex", "Value", inputs, data_type=kind, domain="POINT")
 
     base = sampled(names.BASE, "FLOAT_COLOR")
+    opacity = tree.output(tree.node("FunctionNodeSeparateColor", {"Color": base}), "Alpha")
+    color = splat_color(tree, sampled, tree.output(source, SHOW_BONES), tree.output(source, SHOW_WEIGHTS_OF))
     points = tree.out("GeometryNodePoints", "Points", {"Count": shown, "Position": sampled("position", "FLOAT_VECTOR")})
     points = tree.out(
         "GeometryNodeStoreNamedAttribute",
         "Geometry",
-        {"Geometry": points, "Name": names.COLOR, "Value": _linear_color(tree, base)},
+        {"Geometry": points, "Name": names.COLOR, "Value": color},
         data_type="FLOAT_COLOR",
         domain="POINT",
     )
 
-    opacity = tree.output(tree.node("FunctionNodeSeparateColor", {"Color": base}), "Alpha")
     visible = tree.out(
         "FunctionNodeCompare",
         "Result",
@@ -178,18 +188,3 @@ def _octahedron() -> bpy.types.Object:
     mesh.materials.append(viewport_material())
     mesh.color_attributes.active_color_name = names.COLOR
     return bpy.data.objects.new(mesh.name, mesh)
-
-
-def _linear_color(tree: Tree, base: Any) -> Any:
-    """clip(0.5 + C0 f_dc), decoded from sRGB to Blender's linear colours; alpha is the opacity."""
-    parts = tree.node("FunctionNodeSeparateColor", {"Color": base})
-    channels = {"Alpha": tree.output(parts, "Alpha")}
-    for name in ("Red", "Green", "Blue"):
-        srgb = tree.math("MULTIPLY_ADD", tree.output(parts, name), _SH_C0, 0.5)
-        srgb = tree.out("ShaderNodeClamp", "Result", {"Value": srgb, "Min": 0.0, "Max": 1.0})
-        power = tree.math("POWER", tree.math("MULTIPLY_ADD", srgb, 1 / 1.055, 0.055 / 1.055), 2.4)
-        # The straight piece of the sRGB curve is above the power near black and below it elsewhere.
-        dark = tree.math("LESS_THAN", srgb, 0.04045)
-        straight = tree.math("SUBTRACT", tree.math("DIVIDE", srgb, 12.92), power)
-        channels[name] = tree.math("MULTIPLY_ADD", dark, straight, power)
-    return tree.out("FunctionNodeCombineColor", "Color", channels)

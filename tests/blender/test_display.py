@@ -11,6 +11,8 @@ from PIL import Image
 
 bpy = pytest.importorskip("bpy")
 
+from gskin_addon.core.rig.colors import weight_colors
+from gskin_addon.core.rig.lbs import sparsify
 from gskin_addon.core.rig.quaternion import quat_to_matrix
 from gskin_addon.core.splats.cloud import SH_C0, SplatCloud
 from gskin_addon.scene import names
@@ -77,6 +79,29 @@ def test_limit_opacity_and_switch():
     set_display(obj, "Display", False)
     assert get_display(obj, "Display") is False
     assert len(drawn(obj).vertices) == 1000
+
+
+def test_colours_by_bones_and_by_weights():
+    rng = np.random.default_rng(4)
+    cloud = clouds.random_cloud(50, 0)
+    obj, armature = create_splat_object(cloud, "S"), rigs.make_chains(7, rng)
+    set_display(obj, "Minimum Opacity", 0.0)
+    weights = sparsify(rigs.random_weights(cloud, 7, rng), 4)
+    write_weights(obj, armature, weights)
+
+    def colors():
+        return read_attribute(drawn(obj), names.COLOR).reshape(50, CORNERS, 4)[:, 0, :3]
+
+    np.testing.assert_allclose(colors(), linear(cloud.base_colors().astype(float)), atol=1e-5)
+    set_display(obj, "Show Bones", True)
+    np.testing.assert_allclose(colors(), linear(weight_colors(weights)), atol=1e-4)
+    set_display(obj, "Show Weights Of", "bone.003")
+    shown, weight = colors(), weights[:, 3]
+    np.testing.assert_allclose(shown[weight == 0], np.tile([0, 0, 1], ((weight == 0).sum(), 1)), atol=1e-5)
+    order = np.argsort(weight)
+    red_over_blue = (shown[:, 0] - shown[:, 2])[order]
+    assert (np.diff(red_over_blue) >= -1e-6).all()
+    assert red_over_blue[-1] > red_over_blue[0]
 
 
 def test_one_group_and_one_modifier_however_often():

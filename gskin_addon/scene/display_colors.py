@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Colours of drawn splats, as nodes: as captured, by their bones, or by the weights of one bone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from ..core.splats.cloud import SH_C0
+from . import names
+from .node_builder import Tree
+
+SHOW_BONES = "Show Bones"
+SHOW_WEIGHTS_OF = "Show Weights Of"
+
+Sampled = Callable[[Any, str], Any]
+"""Gives a splat attribute, by name and Blender's type, at the drawn points."""
+
+
+def splat_color(tree: Tree, sampled: Sampled, show_bones: Any, show_weights_of: Any) -> Any:
+    """Field of linear colour and opacity. The switches are single values, so only the chosen colours are computed."""
+    base = sampled(names.BASE, "FLOAT_COLOR")
+    inputs = {"Switch": show_bones, "False": _captured(tree, base), "True": _by_bones(tree, sampled)}
+    srgb = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="VECTOR")
+    named = tree.out(
+        "FunctionNodeCompare", "Result", {"A": show_weights_of, "B": ""}, data_type="STRING", operation="NOT_EQUAL"
+    )
+    inputs = {"Switch": named, "False": srgb, "True": _heat(tree, sampled(show_weights_of, "FLOAT"))}
+    srgb = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="VECTOR")
+    alpha = tree.output(tree.node("FunctionNodeSeparateColor", {"Color": base}), "Alpha")
+    return _linear(tree, srgb, alpha)
+
+
+def _captured(tree: Tree, base: Any) -> Any:
+    """clip(0.5 + C0 f_dc), as a vector."""
+    srgb = tree.vector("MULTIPLY_ADD", base, (SH_C0,) * 3, (0.5,) * 3)
+    return tree.vector("MINIMUM", tree.vector("MAXIMUM", srgb, (0.0,) * 3), (1.0,) * 3)
+
+
+def _by_bones(tree: Tree, sampled: Sampled) -> Any:
+    """The palette of `core.rig.colors`, mixed by the stored weights; splats without a bone are black."""
+    total: Any = (0.0, 0.0, 0.0)
+    for slot in range(names.INFLUENCES):
+        bone = sampled(names.BONE.format(slot), "INT")
+        weight = sampled(names.WEIGHT.format(slot), "FLOAT")
+        weight = tree.math("MULTIPLY", weight, tree.math("GREATER_THAN", bone, -0.5))
+        hue = tree.math("FRACT", tree.math("MULTIPLY_ADD", bone, 0.6180339887498949, 0.02))
+        odd = tree.math("FLOORED_MODULO", bone, 2.0)
+        second = tree.math("COMPARE", tree.math("FLOORED_MODULO", bone, 3.0), 1.0, 0.1)
+        # By place: the sockets are called Red, Green and Blue in every mode.
+        channels = {
+            0: hue,
+            1: tree.math("MULTIPLY_ADD", second, -0.25, 0.80),
+            2: tree.math("MULTIPLY_ADD", odd, -0.17, 0.95),
+        }
+        color = tree.out("FunctionNodeCombineColor", "Color", channels, mode="HSV")
+        total = tree.vector("ADD", total, tree.scale(color, weight))
+    return total
+
+
+def _heat(tree: Tree, weight: Any) -> Any:
+    """Blue at 0 over green to red at 1, as Weight Paint has it."""
+    clipped = tree.out("ShaderNodeClamp", "Result", {"Value": weight, "Min": 0.0, "Max": 1.0})
+    hue = tree.math("MULTIPLY_ADD", clipped, -2 / 3, 2 / 3)
+    return tree.out("FunctionNodeCombineColor", "Color", {0: hue, 1: 1.0, 2: 1.0}, mode="HSV")
+
+
+def _linear(tree: Tree, srgb: Any, alpha: Any) -> Any:
+    """sRGB decoded to Blender's linear colours, with alpha."""
+    parts = tree.node("ShaderNodeSeparateXYZ", {"Vector": srgb})
+    channels = {"Alpha": alpha}
+    for name, axis in (("Red", "X"), ("Green", "Y"), ("Blue", "Z")):
+        value = tree.output(parts, axis)
+        power = tree.math("POWER", tree.math("MULTIPLY_ADD", value, 1 / 1.055, 0.055 / 1.055), 2.4)
+        dark = tree.math("LESS_THAN", value, 0.04045)
+        straight = tree.math("SUBTRACT", tree.math("DIVIDE", value, 12.92), power)
+        channels[name] = tree.math("MULTIPLY_ADD", dark, straight, power)
+    return tree.out("FunctionNodeCombineColor", "Color", channels)
