@@ -20,6 +20,7 @@ from numba import float32, njit
 
 from .cpu_project import LEAN, RECORD, RY, TILE, WIDE, A, B, C, K
 from .vec8 import (
+    any_lane,
     both,
     broadcast,
     exp2,
@@ -223,6 +224,9 @@ def backward_tiles(
                         at = ORIGIN + y * STRIDE + int(begin)
                         dx, vy = lanes + broadcast(begin - mx), broadcast(dy)
                         t = load(T, at)
+                        if not any_lane(less(zero, t)):  # hidden; pays off on captures of solid things
+                            dy += ONE
+                            continue
                         power = fma(fma(va, dx, broadcast(-b * dy)), dx, broadcast(k - c * dy * dy))
                         raw = exp2(power)
                         opaque = minimum(raw, top)
