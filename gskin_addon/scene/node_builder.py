@@ -102,10 +102,18 @@ def find_group(obj: bpy.types.Object, name: str) -> bpy.types.NodesModifier | No
     return None
 
 
+def input_property(modifier: bpy.types.NodesModifier, name: str) -> tuple[Any, str]:
+    """Owner and path under which a panel can show a node group's input, found by its label."""
+    identifier = _identifier(modifier, name)
+    if hasattr(modifier, "properties"):  # Blender 5.2 and later
+        return getattr(modifier.properties.inputs, identifier), "value"
+    return modifier, f'["{identifier}"]'
+
+
 def set_input(modifier: bpy.types.NodesModifier, name: str, value: Any) -> None:
     """Set a node group's input on a modifier by its label."""
     identifier = _identifier(modifier, name)
-    if hasattr(modifier, "properties"):  # Blender 5.2 and later
+    if hasattr(modifier, "properties"):
         getattr(modifier.properties.inputs, identifier).value = value
     else:
         modifier[identifier] = value

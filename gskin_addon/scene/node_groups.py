@@ -67,6 +67,10 @@ _INPUTS: list[tuple[str, str, dict[str, Any]]] = [
 ]
 
 
+DISPLAY_INPUTS = tuple(label for label, _, _ in _INPUTS)
+"""Labels of what can be set, in the order of the modifier."""
+
+
 def display_group() -> bpy.types.NodeTree:
     """The shared node group "GSkin Display"; built once per file."""
     group, new = geometry_group(names.DISPLAY_MODIFIER, VERSION, _INPUTS)
@@ -94,7 +98,7 @@ def add_display(obj: bpy.types.Object) -> bpy.types.NodesModifier:
 
 
 def set_display(obj: bpy.types.Object, name: str, value: Any) -> None:
-    """Set an input of the display by its label in `_INPUTS`, as "Display" or "Viewport Limit"."""
+    """Set an input of the display by its label, one of `DISPLAY_INPUTS`, as "Display" or "Viewport Limit"."""
     set_input(add_display(obj), name, value)
 
 

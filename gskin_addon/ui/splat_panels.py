@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Below GSkin's panel: how the chosen splats are drawn, and weights that come from elsewhere."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..scene.bone_frames import armature_of
+from ..scene.display_colors import SHOW_WEIGHTS_OF
+from ..scene.node_builder import input_property
+from ..scene.node_groups import DISPLAY_INPUTS, find_display
+from .properties import chosen_splats
+
+
+class _Child:
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "GSkin"
+    bl_parent_id = "GSKIN_PT_main"
+    bl_options = {"DEFAULT_CLOSED"}
+
+
+class GSKIN_PT_display(_Child, bpy.types.Panel):
+    bl_idname = "GSKIN_PT_display"
+    bl_label = "Display"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        splats = chosen_splats(context)
+        return splats is not None and find_display(splats) is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        splats = chosen_splats(context)
+        modifier = find_display(splats)
+        column = self.layout.column()
+        column.use_property_split = True
+        column.use_property_decorate = False
+        for name in DISPLAY_INPUTS:
+            owner, path = input_property(modifier, name)
+            if name == SHOW_WEIGHTS_OF:
+                column.prop_search(owner, path, splats, "vertex_groups", text=name)
+            else:
+                column.prop(owner, path, text=name)
+
+
+class GSKIN_PT_weights(_Child, bpy.types.Panel):
+    bl_idname = "GSKIN_PT_weights"
+    bl_label = "Weights"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return chosen_splats(context) is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        column = self.layout.column()
+        column.operator("gskin.load_weights", icon="FILE_FOLDER")
+        column.operator("gskin.bind_to_armature", icon="LINKED")
+        if armature_of(chosen_splats(context)) is not None:
+            column.operator("gskin.update_rotation_weights", icon="FILE_REFRESH")
+
+
+CLASSES = (GSKIN_PT_display, GSKIN_PT_weights)
