@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The nearest triangle of a mesh to every point, exactly, in numpy alone (Blender's Python has no scipy).
 
-A bounding-volume hierarchy over the triangles in Morton order, descended by all points side by side: a greedy
+A bounding-volume hierarchy over the triangles, descended by all points side by side: a greedy
 descent gives every point an upper bound, the second one keeps the (point, box) pairs that can beat it.
 """
 
@@ -41,7 +41,7 @@ def nearest_triangles(points: Array, corner: Array) -> tuple[Array, Array]:
 class _Search:
     def __init__(self, corner: Array, points: Array) -> None:
         lower, upper = corner.min(axis=(0, 1)), corner.max(axis=(0, 1))
-        self.order = np.argsort(_morton((corner.mean(axis=1) - lower) / max(float((upper - lower).max()), 1e-300)))
+        self.order = _compact_order(corner.mean(axis=1))
         self.corner = corner[self.order]
         normal = np.cross(self.corner[:, 1] - self.corner[:, 0], self.corner[:, 2] - self.corner[:, 0])
         length = np.linalg.norm(normal, axis=1, keepdims=True)
@@ -49,10 +49,13 @@ class _Search:
         far = np.concatenate([points, [lower, upper]])
         self.tie = _TIE * float(np.linalg.norm(far.max(axis=0) - far.min(axis=0)))
         self.levels = [(self.corner.min(axis=1), self.corner.max(axis=1))]
+        self.centres = [self.corner.mean(axis=1)]
         while len(self.levels[-1][0]) > _WIDTH:
             low, high = self.levels[-1]
             starts = np.arange(0, len(low), _WIDTH)
             self.levels.append((np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts)))
+            sizes = np.diff(np.append(starts, len(low)))[:, None]
+            self.centres.append(np.add.reduceat(self.centres[-1], starts) / sizes)
 
     def query(self, points: Array) -> Array:
         bound = self._greedy(points)
@@ -90,9 +93,9 @@ class _Search:
             count = len(self.levels[level][0])
             start = at * _WIDTH if level < len(self.levels) - 1 else at
             boxes = np.minimum(start[:, None] + np.arange(_WIDTH), count - 1)
-            who = np.repeat(np.arange(len(points)), _WIDTH)
-            distance = self._box_distance(level, points[who], boxes.ravel()).reshape(-1, _WIDTH)
-            at = np.take_along_axis(boxes, distance.argmin(axis=1)[:, None], axis=1)[:, 0]
+            # By centres: a point lies inside many boxes at once, all at distance zero.
+            away = np.square(self.centres[level][boxes] - points[:, None]).sum(axis=2)
+            at = np.take_along_axis(boxes, away.argmin(axis=1)[:, None], axis=1)[:, 0]
         return self._distance(points, at)[0]
 
     def _children(self, count: int) -> tuple[Array, Array]:
@@ -119,10 +122,15 @@ class _Search:
         return np.linalg.norm(offset, axis=1), np.abs(np.einsum("ij,ij->i", offset, self.normal[box]))
 
 
-def _morton(unit: Array) -> Array:
-    """Codes (F,) of points in the unit cube along a space-filling curve, 10 bits per axis."""
-    grid = np.clip(unit * 1023, 0, 1023).astype(np.int64)
-    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
-        grid = (grid | (grid << shift)) & mask
-    result: Array = grid[:, 0] | (grid[:, 1] << 1) | (grid[:, 2] << 2)
-    return result
+def _compact_order(points: Array) -> Array:
+    """An order (F,) in which runs of 2^k points lie close together: halved again and again along the widest side."""
+    order = np.arange(len(points))
+    size = 1 << max(len(points) - 1, 1).bit_length()
+    while size > 1:
+        group = np.arange(len(points)) // size
+        starts = np.arange(0, len(points), size)
+        at = points[order]
+        wide = (np.maximum.reduceat(at, starts) - np.minimum.reduceat(at, starts)).argmax(axis=1)
+        order = order[np.lexsort((at[np.arange(len(at)), wide[group]], group))]
+        size //= 2
+    return order

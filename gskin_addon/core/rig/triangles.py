@@ -92,10 +92,11 @@ def closest_barycentric(points: Array, corner: Array) -> Array:
     u, v, w = b - a, c - a, points - a
     uu, uv, vv = _dot(u, u), _dot(u, v), _dot(v, v)
     uw, vw = _dot(u, w), _dot(v, w)
-    gram = uu * vv - uv * uv
+    gram: Array = uu * vv - uv * uv
     flat = gram <= 1e-20 * uu * vv
     gram = np.where(flat, 1, gram)
-    second, third = (vv * uw - uv * vw) / gram, (uu * vw - uv * uw) / gram
+    second: Array = (vv * uw - uv * vw) / gram
+    third: Array = (uu * vw - uv * uw) / gram
     inside = np.stack([1 - second - third, second, third], axis=1)
     outside = flat | (inside < 0).any(axis=1)
     if not outside.any():

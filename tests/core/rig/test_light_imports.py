@@ -15,7 +15,7 @@ def test_rig_and_the_names_of_initial_weights_need_numpy_only():
         "import sys\n"
         "for name in ('scipy', 'numba', 'torch', 'PIL', 'trimesh'):\n"
         "    sys.modules[name] = None\n"
-        "from gskin_addon.core.rig import kinematics, lbs, poses, quaternion, skeleton\n"
+        "from gskin_addon.core.rig import anchoring, kinematics, lbs, mesh_weights, poses, quaternion, skeleton\n"
         "from gskin_addon.core.skinning.initial import INITIAL_WEIGHTS\n"
         "print(*INITIAL_WEIGHTS)\n"
     )
