@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How weights move splats during optimisation: each splat by its own weights, or hung on a proxy mesh.
+
+A poser takes the weights of its nodes (the splats, or the mesh's vertices). The regularisers act on the nodes
+too: the paper's x_j, with the K_1 nearest splats as neighbours or the mesh's own edges (Eq. 10).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from ..rig.anchoring import Anchors
+from ..rig.vertex_maps import mesh_neighbours, ring_coefficients
+from ..splats.cloud import SplatCloud
+from .posing import pose_splats, quat_multiply
+
+NEIGHBOURS = 30  # the paper's K_1
+_POLAR_STEPS = 6
+_SMALLEST = 1e-4
+
+
+@dataclass(frozen=True)
+class Posed:
+    """Under P poses: means (P, N, 3) and unit quats (P, N, 4) of the splats, nodes (P, M, 3)."""
+
+    means: torch.Tensor
+    quats: torch.Tensor
+    nodes: torch.Tensor
+
+
+class Poser(Protocol):
+    """nodes (M, 3) float32: rest positions of what has weights; neighbours (M, K): see `mesh_neighbours`."""
+
+    nodes: NDArray[np.float32]
+    neighbours: NDArray[np.int64]
+
+    def pose(self, weights: torch.Tensor, transforms: NDArray[Any]) -> Posed:
+        """Splats and nodes for weights (M, B) and transforms (P, B, 4, 4), differentiable in the weights."""
+
+
+class SplatPoser:
+    """Vanilla splats: Eq. 1 and Eq. 3 on the splats themselves."""
+
+    def __init__(self, cloud: SplatCloud) -> None:
+        from scipy.spatial import cKDTree
+
+        self.nodes = cloud.means
+        count = min(NEIGHBOURS + 1, cloud.count)
+        self.neighbours = cKDTree(cloud.means).query(cloud.means, count)[1][:, 1:].astype(np.int64)
+        self._means, self._quats = torch.from_numpy(cloud.means), torch.from_numpy(cloud.quats)
+
+    def pose(self, weights: torch.Tensor, transforms: NDArray[Any]) -> Posed:
+        means, quats = pose_splats(self._means, self._quats, weights, transforms)
+        return Posed(means, quats, means)
+
+
+class AnchoredPoser:
+    """Mesh-anchored splats: Eq. 1 on the vertices, Eq. 4 for the centres, the rotations R_v of Eq. 5.
+
+    The vertices' rotations come from the one-ring maps T_v (see `rig.vertex_maps`) and are blended as quaternions
+    with the barycentrics; that is the rotation of the blended matrices to second order in how much the
+    triangle's vertices differ. The shear S_v does not reach the renderer during optimisation, whose splats
+    keep their scales; results are posed with it.
+    """
+
+    def __init__(self, cloud: SplatCloud, anchors: Anchors, verts: NDArray[Any], faces: NDArray[Any]) -> None:
+        """cloud: N splats; anchors: where they hang on the mesh verts (V, 3), faces (F, 3)."""
+        self.nodes = np.asarray(verts, np.float32)
+        self.neighbours = mesh_neighbours(len(verts), faces, NEIGHBOURS)
+        self._quats = torch.from_numpy(cloud.quats)
+        self._verts = torch.from_numpy(self.nodes)
+        self._faces, self._face = torch.from_numpy(faces), torch.from_numpy(anchors.face)
+        self._bary = torch.as_tensor(anchors.bary, dtype=torch.float32)
+        local = anchors.residual + anchors.beta[:, None] * np.array([0.0, 0.0, 1.0])
+        self._local = torch.as_tensor(local, dtype=torch.float32)
+        self._most_radius = 4 * _frames(self._verts[self._faces][None])[1]
+        coefficients = ring_coefficients(np.asarray(verts, np.float64), faces)
+        self._coefficients = torch.as_tensor(coefficients, dtype=torch.float32)
+        known = np.zeros(len(verts), bool)
+        known[faces[coefficients.any(axis=(1, 2, 3))]] = True
+        self._unknown = torch.from_numpy(~known)
+
+    def pose(self, weights: torch.Tensor, transforms: NDArray[Any]) -> Posed:
+        posed, skinned = pose_splats(self._verts, torch.eye(1, 4).expand(len(self._verts), 4), weights, transforms)
+        corner = posed[:, self._faces]
+        frames, radius = _frames(corner)
+        # A triangle that folds to a line would throw its splats away, and the gradients with them.
+        radius = torch.minimum(radius, self._most_radius)
+        offset = (frames * radius[..., None, None])[:, self._face]
+        means = (offset * self._local[None, :, None, :]).sum(-1)
+        for k in range(3):
+            means = means + self._bary[:, k, None] * corner[:, self._face, k]
+        vertex_quats = self._vertex_quats(corner, frames[..., 2], skinned)
+        turned = vertex_quats[:, self._faces[self._face]]  # (P, N, 3, 4)
+        with torch.no_grad():
+            sign = torch.where((turned * turned[:, :, :1]).sum(-1, keepdim=True) < 0, -1.0, 1.0)
+        blend = (turned * sign * self._bary[None, :, :, None]).sum(2)
+        quats = torch.nn.functional.normalize(quat_multiply(blend, self._quats), dim=-1)
+        return Posed(means, quats, posed)
+
+    def _vertex_quats(self, corner: torch.Tensor, normal: torch.Tensor, skinned: torch.Tensor) -> torch.Tensor:
+        """Quaternions (P, V, 4) of R_v; where a ring is turned inside out, those of the bones (P, V, 4)."""
+        poses, count = corner.shape[0], len(self._verts)
+        to_next, to_last = corner.roll(-1, 2) - corner, corner.roll(1, 2) - corner
+        seen = torch.stack([to_next, to_last, normal[:, :, None].expand_as(to_next)], dim=3)
+        added = torch.einsum("pfkca,fkcb->pfkab", seen, self._coefficients).reshape(poses, -1, 3, 3)
+        maps = corner.new_zeros(poses, count, 3, 3).index_add(1, self._faces.reshape(-1), added)
+        bad = (torch.linalg.det(maps.detach()) < _SMALLEST) | self._unknown
+        maps = torch.where(bad[..., None, None], torch.eye(3), maps)
+        return torch.where(bad[..., None], skinned, matrix_quats(polar_rotation(maps)))
+
+
+def polar_rotation(maps: torch.Tensor) -> torch.Tensor:
+    """The rotation of each linear map (..., 3, 3) of positive determinant, differentiable.
+
+    Newton's iteration X <- (X + X^-T) / 2 (Higham 1986), X^-T by cross products; it doubles its digits each
+    time, and begins at unit determinant.
+    """
+    x = maps / torch.linalg.det(maps).clamp_min(_SMALLEST).pow(1 / 3)[..., None, None]
+    for _ in range(_POLAR_STEPS):
+        a, b, c = x.unbind(-1)
+        bc = torch.linalg.cross(b, c)
+        cofactor = torch.stack([bc, torch.linalg.cross(c, a), torch.linalg.cross(a, b)], dim=-1)
+        x = (x + cofactor / (a * bc).sum(-1)[..., None, None]) / 2
+    return x
+
+
+def matrix_quats(rotation: torch.Tensor) -> torch.Tensor:
+    """Unit quaternions (..., 4) wxyz of rotation matrices (..., 3, 3), differentiable; the sign is free."""
+    (m00, m01, m02), (m10, m11, m12), (m20, m21, m22) = (row.unbind(-1) for row in rotation.unbind(-2))
+    rows = [
+        torch.stack([1 + m00 + m11 + m22, m21 - m12, m02 - m20, m10 - m01], -1),
+        torch.stack([m21 - m12, 1 + m00 - m11 - m22, m10 + m01, m02 + m20], -1),
+        torch.stack([m02 - m20, m10 + m01, 1 - m00 + m11 - m22, m21 + m12], -1),
+        torch.stack([m10 - m01, m02 + m20, m21 + m12, 1 - m00 - m11 + m22], -1),
+    ]
+    outer = torch.stack(rows, dim=-2)
+    with torch.no_grad():
+        best = torch.diagonal(outer, dim1=-2, dim2=-1).argmax(-1)
+    picked = outer.gather(-2, best[..., None, None].expand(*best.shape, 1, 4))[..., 0, :]
+    return torch.nn.functional.normalize(picked, dim=-1)
+
+
+def _frames(corner: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """`rig.triangles.face_frames` in torch, from corners (P, F, 3, 3)."""
+    first, last = corner[:, :, 1] - corner[:, :, 0], corner[:, :, 2] - corner[:, :, 0]
+    across = torch.linalg.cross(first, last)
+    # Under the root, so that a triangle without an area has gradients too.
+    double = (across.square().sum(-1) + 1e-24).sqrt()
+    a, b, c = ((edge.square().sum(-1) + 1e-24).sqrt() for edge in (first, last, last - first))
+    normal, tangent = across / double[..., None], first / a[..., None]
+    frames = torch.stack([tangent, torch.linalg.cross(normal, tangent), normal], dim=-1)
+    return frames, a * b * c / (2 * double)
