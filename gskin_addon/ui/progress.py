@@ -124,7 +124,10 @@ def wrap(text: str, width: int) -> list[str]:
 
 
 def _redraw(context: bpy.types.Context) -> None:
+    # The side bar alone: drawing the view again ten times a second would make a large scene crawl.
     for window in context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "VIEW_3D":
-                area.tag_redraw()
+                for region in area.regions:
+                    if region.type == "UI":
+                        region.tag_redraw()
