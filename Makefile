@@ -6,15 +6,17 @@ RUN = $(VENV)/bin/python
 STAMP = $(VENV)/gskin-setup.sha256
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-window lint zip clean
+.PHONY: help venv demo test test-window lint zip bench-speed bench-quality clean
 
 help:
-	@echo 'make venv    the environment in $(VENV), with all that gskin needs'
-	@echo 'make demo    a sample character, auto-skinned, into out/demo'
-	@echo 'make test    the test suite'
-	@echo 'make test-window   the extension in a real Blender window: BLENDER=/path/to/blender, or as root one of Debian'
-	@echo 'make lint    ruff and mypy'
-	@echo 'make zip     the Blender extension, into dist'
+	@echo 'make venv           the environment in $(VENV), with all that gskin needs'
+	@echo 'make demo           a sample character, auto-skinned, into out/demo'
+	@echo 'make test           the test suite'
+	@echo 'make test-window    the extension in a real Blender window; BLENDER=/path/to/blender, else (as root) one of Debian'
+	@echo 'make lint           ruff and mypy'
+	@echo 'make zip            the Blender extension, into dist'
+	@echo 'make bench-speed    speed of the rasteriser'
+	@echo 'make bench-quality  weights before and after learning, on assets with known weights'
 
 $(STAMP): pyproject.toml tools/make_venv.py
 	@$(PYTHON) tools/make_venv.py --venv $(VENV)
@@ -36,6 +38,12 @@ lint: $(STAMP)
 
 zip: $(STAMP)
 	@$(RUN) tools/build_zip.py --out dist
+
+bench-speed: $(STAMP)
+	@$(RUN) benchmarks/bench_rasterizer.py
+
+bench-quality: $(STAMP)
+	@$(RUN) -m benchmarks.bench_quality
 
 clean:
 	rm -rf out build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

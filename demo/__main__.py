@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gskin_addon.commands.console import quiet_stdout
 from gskin_addon.core.rig.lbs import sparsify
 from gskin_addon.core.splats.ply import read_ply, write_ply
 from gskin_addon.core.worker.contract import read_weights
@@ -40,7 +41,8 @@ def main() -> int:
     from . import blender_tools, character, pictures, report
     from .skeleton import POSES, wave_at
 
-    model = character.build()
+    with quiet_stdout():
+        model = character.build()
     cloud, truth = character.to_splats(model, options.splats, seed=0)
     blender_tools.add_action(model.rig, "Wave", FRAMES, wave_at)
     skeleton = read_skeleton(model.rig)
@@ -48,7 +50,8 @@ def main() -> int:
     ply, rig, rigged = out / "brindle.ply", out / "brindle_rig.blend", out / "brindle.blend"
     weights = out / "weights.npz"
     write_ply(ply, cloud)
-    save_blend(rig)
+    with quiet_stdout():
+        save_blend(rig)
     if options.character_only:
         return 0
 
