@@ -20,10 +20,9 @@ from ..splats.cloud import SplatCloud
 from .arap import arap_loss
 from .coupling import coupling_loss, prepare_coupling
 from .fields.base import WeightField
-from .posing import pose_splats
+from .posers import Poser, SplatPoser
 from .presets import Preset
 
-NEIGHBOURS = 30  # the paper's K_1
 ARAP_NODES = 2000
 
 
@@ -54,7 +53,8 @@ class LossWeights:
 class Optimiser:
     """Adam on a weight field; keeps what is needed to stop and go on.
 
-    The cloud, the skeleton and the targets must be in the same coordinates, the object near unit size
+    `poser` says how weights move the splats (default: each splat by its own); the field gives the weights of its
+    nodes. The cloud, the skeleton and the targets must be in the same coordinates, the object near unit size
     (bounding-box diagonal 1), so that the loss weights mean the same for every asset.
     """
 
@@ -66,12 +66,11 @@ class Optimiser:
         targets: Sequence[Target],
         preset: Preset,
         *,
+        poser: Poser | None = None,
         losses: LossWeights = LossWeights(),
         seed: int = 0,
         background: tuple[float, float, float] = (1.0, 1.0, 1.0),
     ) -> None:
-        from scipy.spatial import cKDTree
-
         self.field, self.targets, self.preset, self.losses = field, targets, preset, losses
         self.iteration = 0
         self._cloud, self._background = cloud, background
@@ -79,16 +78,15 @@ class Optimiser:
         self._queue: list[int] = []
         self._rate = preset.learning_rate * field.rate
         self._adam = torch.optim.Adam(field.parameters(), lr=self._rate, betas=(0.9, 0.99))
-        self._means = torch.from_numpy(cloud.means)
-        self._quats = torch.from_numpy(cloud.quats)
+        self._poser: Poser = poser or SplatPoser(cloud)
+        nodes, self._neighbours = self._poser.nodes, self._poser.neighbours
+        self._nodes = torch.from_numpy(nodes)
         self._scenes: dict[tuple[bytes, int], Scene] = {}
         self._boxes: dict[tuple[int, int], Box] = {}
-        self._coupling = prepare_coupling(cloud.means, skeleton)
-        count = min(NEIGHBOURS + 1, cloud.count)
-        self._neighbours = cKDTree(cloud.means).query(cloud.means, count)[1][:, 1:].astype(np.int64)
-        edges = cloud.means[self._neighbours[:: max(1, cloud.count // 5000)]]
-        centres = cloud.means[:: max(1, cloud.count // 5000), None]
-        self._edge_square = float(np.square(edges - centres).sum(-1).mean()) + 1e-12
+        self._coupling = prepare_coupling(nodes, skeleton)
+        step = max(1, len(nodes) // 5000)
+        edges = nodes[self._neighbours[::step]] - nodes[::step, None]
+        self._edge_square = float(np.square(edges).sum(-1).mean()) + 1e-12
 
     def step(self) -> dict[str, float]:
         """One iteration on the next batch; returns the parts of the loss."""
@@ -98,10 +96,12 @@ class Optimiser:
         batch = [self._next_target() for _ in range(min(self.preset.batch, len(self.targets)))]
         transforms = np.stack([self.targets[i].transforms for i in batch])
         weights = self.field()
-        means, quats = pose_splats(self._means, self._quats, weights, transforms)
-        render: torch.Tensor = _Render.apply(means, quats, self, batch, size)  # type: ignore[no-untyped-call]
-        coupling = coupling_loss(self._coupling, means, transforms)
-        arap = self._arap(means)
+        posed = self._poser.pose(weights, transforms)
+        render: torch.Tensor = _Render.apply(  # type: ignore[no-untyped-call]
+            posed.means, posed.quats, self, batch, size
+        )
+        coupling = coupling_loss(self._coupling, posed.nodes, transforms)
+        arap = self._arap(posed.nodes)
         loss = render + self.losses.arap * arap + self.losses.coupling * coupling
         self._adam.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
@@ -113,7 +113,7 @@ class Optimiser:
         }
 
     def weights(self) -> NDArray[np.float32]:
-        """The present weights (N, B), rows sum to 1."""
+        """The present weights of the poser's nodes (M, B), rows sum to 1."""
         with torch.no_grad():
             return self.field().numpy()
 
@@ -211,11 +211,11 @@ class Optimiser:
         background = np.asarray(self._background) * unit
         return (np.abs(image - background) > 1e-4 * unit).any(axis=-1)
 
-    def _arap(self, means: torch.Tensor) -> torch.Tensor:
-        count = means.shape[1]
+    def _arap(self, posed: torch.Tensor) -> torch.Tensor:
+        count = posed.shape[1]
         nodes = self._rng.choice(count, min(ARAP_NODES, count), replace=False)
         near = self._neighbours[nodes]
-        result: torch.Tensor = _Arap.apply(means, self._means, nodes, near)  # type: ignore[no-untyped-call]
+        result: torch.Tensor = _Arap.apply(posed, self._nodes, nodes, near)  # type: ignore[no-untyped-call]
         return result / self._edge_square
 
 
