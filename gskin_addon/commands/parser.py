@@ -75,12 +75,7 @@ def _rig(commands: Any) -> None:
         metavar="NAME=VALUE",
         help="a setting of that guidance; repeatable",
     )
-    rig.add_argument(
-        "--front",
-        choices=tuple(FRONTS),
-        default="-y",
-        help="the side that the object faces (default: %(default)s); write --front=-x",
-    )
+    _front(rig)
     rig.add_argument("--preset", choices=tuple(PRESETS), default=DEFAULT_PRESET, help="effort (default: %(default)s)")
     rig.add_argument("--max-influences", type=_positive, default=4, metavar="N", help="bones per splat (default: 4)")
     rig.add_argument("--seed", type=_seed, default=0, metavar="N", help="same seed, same weights (default: 0)")
@@ -144,8 +139,18 @@ def _render(commands: Any) -> None:
     )
     render.add_argument("--ply-up", choices=UP_AXES, default="z", help="a .ply's up axis (default: z)")
     render.add_argument("--python", metavar="PYTHON", default="", help="the Python with numba that draws")
+    _front(render)
     _posing(render)
     _common(render)
+
+
+def _front(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--front",
+        choices=tuple(FRONTS),
+        default="-y",
+        help="the side that the object faces (default: %(default)s); write --front=-x",
+    )
 
 
 def _posing(parser: argparse.ArgumentParser) -> None:

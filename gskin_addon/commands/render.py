@@ -17,6 +17,7 @@ from ..core.splats.cloud import SH_C0, SplatCloud
 from ..core.splats.ply import write_ply
 from ..core.worker.files import write_png
 from ..core.worker.interpreter import find_worker_python, worker_environment
+from ..core.worker.settings import FRONTS
 from .console import say
 from .paths import check_output
 from .pose import open_posed
@@ -35,7 +36,8 @@ def run(options: argparse.Namespace) -> None:
         if options.engine == "cycles":
             from ..scene.cycles import render_view
 
-            render_view(obj, options.out, options.view.replace("-", "_"), options.size, options.background)
+            azimuth = options.view.replace("-", "_")
+            render_view(obj, options.out, azimuth, options.size, options.background, front=FRONTS[options.front])
         else:
             from ..scene.posing import posed_cloud
 
@@ -56,7 +58,7 @@ def draw(cloud: SplatCloud, options: argparse.Namespace) -> None:
 
     lower, upper = percentile_bounds(cloud.means)
     azimuth = EVALUATION_AZIMUTHS[options.view.replace("-", "_")]
-    (camera,) = orbit_views(lower, upper, options.size, [azimuth], margin=0.06)
+    (camera,) = orbit_views(lower, upper, options.size, [azimuth], front=FRONTS[options.front], margin=0.06)
     image, _ = render_cloud(cloud, camera, background=options.background)
     write_png(options.out, image)
 
@@ -81,7 +83,7 @@ def _draw_elsewhere(cloud: SplatCloud, options: argparse.Namespace) -> None:
         posed = Path(folder) / "posed.ply"
         write_ply(posed, cloud)
         command = [str(python), str(program), "render", str(posed), "--out", str(options.out.absolute())]
-        command += ["--view", options.view, "--size", str(options.size)]
+        command += ["--view", options.view, f"--front={options.front}", "--size", str(options.size)]
         command += ["--background", *(str(value) for value in options.background)]
         done = subprocess.run(command, env=worker_environment(), capture_output=True, text=True, check=False)
     if done.returncode != 0:

@@ -16,13 +16,21 @@ from .posing import posed_cloud
 from .render import render_still
 
 
-def render_view(obj: bpy.types.Object, path: Path, view: str, size: int, background: Sequence[float]) -> None:
+def render_view(
+    obj: bpy.types.Object,
+    path: Path,
+    view: str,
+    size: int,
+    background: Sequence[float],
+    *,
+    front: Sequence[float] = (0.0, -1.0, 0.0),
+) -> None:
     """Render the scene as it is, from one of EVALUATION_AZIMUTHS, to a size x size PNG; background sRGB (3,).
 
     Changes camera, world and render settings of the scene, which is meant to be thrown away.
     """
     lower, upper = percentile_bounds(posed_cloud(obj).means)
-    (view_camera,) = orbit_views(lower, upper, size, [EVALUATION_AZIMUTHS[view]], margin=0.06)
+    (view_camera,) = orbit_views(lower, upper, size, [EVALUATION_AZIMUTHS[view]], front=front, margin=0.06)
     scene = bpy.context.scene
     camera = bpy.data.objects.new("GSkin View", bpy.data.cameras.new("GSkin View"))
     scene.collection.objects.link(camera)
