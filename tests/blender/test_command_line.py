@@ -215,7 +215,13 @@ def test_interrupting_exits_130_soon_and_leaves_nothing(number, files, tmp_path)
     out, job = tmp_path / "out.blend", tmp_path / "job"
     command = [sys.executable, "-m", "gskin_addon.cli", "rig", str(files / "rod.ply"), "--preset", "paper"]
     command += ["--armature", str(files / "rig.blend"), "--out", str(out), "--job-dir", str(job)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored where tests run with `&`
+    )
     assert process.stderr is not None
     process.stderr.readline()  # the worker runs
     began = time.monotonic()
