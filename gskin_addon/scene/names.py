@@ -30,3 +30,21 @@ COLOR = "gskin:color"
 ARMATURE_MODIFIER = "Armature"
 ROTATION_MODIFIER = "GSkin Rotation"
 DISPLAY_MODIFIER = "GSkin Display"
+ANCHOR_MODIFIER = "GSkin Anchor"
+
+ANCHOR_MARK = "gskin_anchor_mesh"
+"""Custom property that marks the hidden helper mesh of anchored splats."""
+
+# Where a splat hangs on its proxy mesh (Eq. 4): triangle, barycentrics, offset, and what Eq. 4 leaves out.
+FACE = "gskin:face"
+BARY = "gskin:bary"
+BETA = "gskin:beta"
+RESIDUAL = "gskin:residual"
+
+# On the corners of the helper mesh: neighbours in the triangle and coefficients of the one-ring maps.
+CORNER_NEXT = "gskin:next"
+CORNER_LAST = "gskin:last"
+MAP_COEFFICIENTS = ("gskin:g_next", "gskin:g_last", "gskin:g_normal")
+# On its points, while the nodes run: columns of the vertices' rotation and shear.
+MAP_ROTATION = tuple(f"gskin:r_{k}" for k in range(3))
+MAP_SHEAR = tuple(f"gskin:s_{k}" for k in range(3))

@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The node group that keeps splats on a moving proxy mesh, with rotation and shear (Eq. 4-5), without Python.
+
+The anchor mesh (see `anchored.py`) has the proxy's triangles and the coefficients of the one-ring maps on its
+corners. The group puts its vertices where the proxy's are now, sums the maps T_v (`core.rig.vertex_maps`), splits each
+into rotation and shear, blends both with every splat's barycentrics, and turns T Sigma T^T back into rotation and
+scales by Jacobi rotations, as `core.rig.covariance` does.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from . import names
+from .node_builder import Tree, find_group, geometry_group
+
+VERSION = 1
+PROXY_INPUT = "Proxy Mesh"
+MESH_INPUT = "Anchor Mesh"
+
+POLAR_STEPS = 6
+SWEEPS = 4
+FLATTEST = 1e-5
+"""Thickness relative to the longest axis at which a flat splat still has a direction in 32 bits."""
+
+Columns = list[Any]
+
+
+def anchor_group() -> bpy.types.NodeTree:
+    """The shared node group "GSkin Anchor"; built once per file."""
+    inputs = [(name, "NodeSocketObject", {}) for name in (PROXY_INPUT, MESH_INPUT)]
+    group, new = geometry_group(names.ANCHOR_MODIFIER, VERSION, inputs)
+    if new:
+        _build(group)
+    return group
+
+
+def find_anchor(obj: bpy.types.Object) -> bpy.types.NodesModifier | None:
+    """The object's anchor modifier, by its node group and not by its name."""
+    return find_group(obj, names.ANCHOR_MODIFIER)
+
+
+def _build(group: bpy.types.NodeTree) -> None:
+    tree = Tree(group)
+    source = tree.node("NodeGroupInput")
+    splats = tree.output(source, "Geometry")
+    proxy = _geometry(tree, tree.output(source, PROXY_INPUT), "RELATIVE")
+    rest = _geometry(tree, tree.output(source, MESH_INPUT), "ORIGINAL")
+    mesh = _with_maps(tree, _moved(tree, rest, proxy))
+    corner = tree.math("MULTIPLY", tree.attribute(names.FACE, "INT"), 3.0)
+    bary = _parts(tree, tree.attribute(names.BARY, "FLOAT_VECTOR"))
+
+    def at_corners(field: Any) -> Columns:
+        return [
+            tree.out(
+                "GeometryNodeSampleIndex",
+                "Value",
+                {"Geometry": mesh, "Value": field, "Index": tree.math("ADD", corner, float(k))},
+                data_type="FLOAT_VECTOR",
+                domain="CORNER",
+            )
+            for k in range(3)
+        ]
+
+    def blended(values: Columns) -> Any:
+        return _combine(tree, values, bary)
+
+    corners = at_corners(tree.out("GeometryNodeInputPosition", "Position"))
+    position = tree.vector("ADD", blended(corners), _offset(tree, corners))
+    rotation = [blended(at_corners(tree.attribute(name, "FLOAT_VECTOR"))) for name in names.MAP_ROTATION]
+    shear = [blended(at_corners(tree.attribute(name, "FLOAT_VECTOR"))) for name in names.MAP_SHEAR]
+    turned, scale = _gaussian(tree, rotation, shear)
+
+    # All fields read the rest splats, so none may be stored before all are known.
+    capture = tree.node("GeometryNodeCaptureAttribute", domain="POINT")
+    for kind, name in (("VECTOR", "Position"), ("ROTATION", "Rotation"), ("VECTOR", "Scale")):
+        capture.capture_items.new(kind, name)
+    for name, value in (("Geometry", splats), ("Position", position), ("Rotation", turned), ("Scale", scale)):
+        tree.connect(value, tree.input(capture, name))
+    inputs = {"Geometry": tree.output(capture, "Geometry"), "Position": tree.output(capture, "Position")}
+    result = tree.out("GeometryNodeSetPosition", "Geometry", inputs)
+    for name, kind, value in ((names.ROTATION, "QUATERNION", "Rotation"), (names.SCALE, "FLOAT_VECTOR", "Scale")):
+        inputs = {"Geometry": result, "Name": name, "Value": tree.output(capture, value)}
+        result = tree.out("GeometryNodeStoreNamedAttribute", "Geometry", inputs, data_type=kind, domain="POINT")
+
+    # A proxy whose points are no longer those that were anchored to (a Subdivision Surface, an edit): stay at rest.
+    counts = [
+        tree.out("GeometryNodeAttributeDomainSize", "Point Count", {"Geometry": geometry}, component="MESH")
+        for geometry in (proxy, rest)
+    ]
+    same = tree.math("COMPARE", *counts, 0.5)
+    inputs = {"Switch": same, "False": splats, "True": result}
+    tree.node(
+        "NodeGroupOutput",
+        {"Geometry": tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")},
+    )
+
+
+def _geometry(tree: Tree, obj: Any, space: str) -> Any:
+    return tree.out("GeometryNodeObjectInfo", "Geometry", {"Object": obj}, transform_space=space)
+
+
+def _moved(tree: Tree, rest: Any, proxy: Any) -> Any:
+    """The anchor mesh with its vertices where the proxy's are, in the splat object's space."""
+    position = tree.out("GeometryNodeInputPosition", "Position")
+    index = tree.out("GeometryNodeInputIndex", "Index")
+    inputs = {"Geometry": proxy, "Value": position, "Index": index}
+    there = tree.out("GeometryNodeSampleIndex", "Value", inputs, data_type="FLOAT_VECTOR", domain="POINT")
+    return tree.out("GeometryNodeSetPosition", "Geometry", {"Geometry": rest, "Position": there})
+
+
+def _with_maps(tree: Tree, mesh: Any) -> Any:
+    """The mesh with R_v and S_v as three vectors (columns) each on its points."""
+    position = tree.out("GeometryNodeInputPosition", "Position")
+
+    def edge(name: str) -> Any:
+        inputs = {"Value": position, "Index": tree.attribute(name, "INT")}
+        there = tree.out("GeometryNodeFieldAtIndex", "Value", inputs, data_type="FLOAT_VECTOR", domain="POINT")
+        return tree.vector("SUBTRACT", there, position)
+
+    to_next, to_last = edge(names.CORNER_NEXT), edge(names.CORNER_LAST)
+    seen = [to_next, to_last, tree.vector("NORMALIZE", tree.vector("CROSS_PRODUCT", to_next, to_last))]
+    coefficients = [_parts(tree, tree.attribute(name, "FLOAT_VECTOR")) for name in names.MAP_COEFFICIENTS]
+    vertex = tree.out(
+        "GeometryNodeVertexOfCorner", "Vertex Index", {"Corner Index": tree.out("GeometryNodeInputIndex", "Index")}
+    )
+    columns = []
+    for k in range(3):
+        added = _combine(tree, seen, [parts[k] for parts in coefficients])
+        node = tree.node(
+            "GeometryNodeAccumulateField", {0: added}, data_type="FLOAT_VECTOR", domain="CORNER"
+        )
+        tree.connect(vertex, next(s for s in node.inputs if s.name.startswith("Group") and s.enabled))
+        columns.append(tree.output(node, "Total"))
+    stored = [f"gskin:t_{k}" for k in range(3)]
+    mesh = _store(tree, mesh, stored, columns)
+    maps = [tree.attribute(name, "FLOAT_VECTOR") for name in stored]
+    mesh = _store(tree, mesh, names.MAP_ROTATION, _polar_rotation(tree, maps))
+    rotation = [tree.attribute(name, "FLOAT_VECTOR") for name in names.MAP_ROTATION]
+    shear = [_vector(tree, [tree.vector("DOT_PRODUCT", axis, column) for axis in rotation]) for column in maps]
+    return _store(tree, mesh, names.MAP_SHEAR, shear)
+
+
+def _store(tree: Tree, geometry: Any, labels: Any, values: Columns) -> Any:
+    for name, value in zip(labels, values, strict=True):
+        inputs = {"Geometry": geometry, "Name": name, "Value": value}
+        geometry = tree.out(
+            "GeometryNodeStoreNamedAttribute", "Geometry", inputs, data_type="FLOAT_VECTOR", domain="POINT"
+        )
+    return geometry
+
+
+def _polar_rotation(tree: Tree, columns: Columns) -> Columns:
+    """Columns of the R in T = R S, by Newton's iteration X <- (X + X^-T) / 2, each step from unit determinant.
+
+    A mirrored T (a ring turned inside out) gives a reflection here and a rotation in the core.
+    """
+    x = list(columns)
+    for _ in range(POLAR_STEPS):
+        a, b, c = x
+        cofactor = [tree.vector("CROSS_PRODUCT", *pair) for pair in ((b, c), (c, a), (a, b))]
+        determinant = tree.vector("DOT_PRODUCT", a, cofactor[0])
+        factor = tree.math("POWER", tree.math("ABSOLUTE", determinant), -1 / 3)
+        old = tree.math("MULTIPLY", factor, 0.5)
+        new = tree.math("DIVIDE", 0.5, tree.math("MULTIPLY", factor, determinant))
+        pairs = zip(x, cofactor, strict=True)
+        x = [tree.vector("ADD", tree.scale(axis, old), tree.scale(other, new)) for axis, other in pairs]
+    return x
+
+
+def _offset(tree: Tree, corners: Columns) -> Any:
+    """What Eq. 4 adds to the foot point: offset and residual, times the posed circumradius, in the posed frame."""
+    first, last = tree.vector("SUBTRACT", corners[1], corners[0]), tree.vector("SUBTRACT", corners[2], corners[0])
+    across = tree.vector("CROSS_PRODUCT", first, last)
+    edges = [tree.vector("LENGTH", edge) for edge in (first, last, tree.vector("SUBTRACT", last, first))]
+    product = tree.math("MULTIPLY", tree.math("MULTIPLY", edges[0], edges[1]), edges[2])
+    radius = tree.math("DIVIDE", tree.math("MULTIPLY", product, 0.5), tree.vector("LENGTH", across))
+    normal, tangent = tree.vector("NORMALIZE", across), tree.vector("NORMALIZE", first)
+    frame = [tangent, tree.vector("CROSS_PRODUCT", normal, tangent), normal]
+    local = _parts(tree, tree.attribute(names.RESIDUAL, "FLOAT_VECTOR"))
+    local[2] = tree.math("ADD", local[2], tree.attribute(names.BETA, "FLOAT"))
+    return tree.scale(_combine(tree, frame, local), radius)
+
+
+def _gaussian(tree: Tree, rotation: Columns, shear: Columns) -> tuple[Any, Any]:
+    """The splat's new rotation and scale: Sigma' = T Sigma T^T, T = rotation x shear (columns)."""
+    old = tree.attribute(names.ROTATION, "QUATERNION")
+    sizes = _parts(tree, tree.attribute(names.SCALE, "FLOAT_VECTOR"))
+    longest = tree.math("MAXIMUM", tree.math("MAXIMUM", sizes[0], sizes[1]), sizes[2])
+    columns = []
+    for k in range(3):
+        axis = [0.0, 0.0, 0.0]
+        axis[k] = 1.0
+        inputs = {"Vector": tuple(axis), "Rotation": old}
+        direction = tree.out("FunctionNodeRotateVector", "Vector", inputs)
+        relative = tree.math("MAXIMUM", tree.math("DIVIDE", sizes[k], longest), FLATTEST)
+        moved = _combine(tree, rotation, _parts(tree, _combine(tree, shear, _parts(tree, direction))))
+        columns.append(tree.scale(moved, relative))
+    for _ in range(SWEEPS):
+        for p, q in ((0, 1), (0, 2), (1, 2)):
+            columns[p], columns[q] = _jacobi(tree, columns[p], columns[q])
+    axes = {"Primary Axis": columns[0], "Secondary Axis": columns[1]}
+    turned = tree.out("FunctionNodeAxesToRotation", "Rotation", axes, primary_axis="X", secondary_axis="Y")
+    return turned, tree.scale(_vector(tree, [tree.vector("LENGTH", column) for column in columns]), longest)
+
+
+def _jacobi(tree: Tree, a: Any, b: Any) -> tuple[Any, Any]:
+    """Two columns turned into each other until they are orthogonal (`core.rig.covariance.orthogonal_axes`)."""
+    aa, bb, ab = (tree.vector("DOT_PRODUCT", *pair) for pair in ((a, a), (b, b), (a, b)))
+    difference = tree.math("SUBTRACT", bb, aa)
+    twice = tree.math("MULTIPLY", ab, 2.0)
+    root = tree.math("SQRT", tree.math("MULTIPLY_ADD", difference, difference, tree.math("MULTIPLY", twice, twice)))
+    root = tree.math("ADD", tree.math("ABSOLUTE", difference), root)
+    sign = tree.math("MULTIPLY_ADD", tree.math("LESS_THAN", difference, 0.0), -2.0, 1.0)
+    t = tree.math("DIVIDE", tree.math("MULTIPLY", sign, twice), root)  # 0 / 0 is 0 in these nodes
+    c = tree.math("INVERSE_SQRT", tree.math("MULTIPLY_ADD", t, t, 1.0))
+    s = tree.math("MULTIPLY", c, t)
+    first = tree.vector("SUBTRACT", tree.scale(a, c), tree.scale(b, s))
+    return first, tree.vector("ADD", tree.scale(a, s), tree.scale(b, c))
+
+
+def _parts(tree: Tree, vector: Any) -> Columns:
+    node = tree.node("ShaderNodeSeparateXYZ", {"Vector": vector})
+    return [tree.output(node, axis) for axis in "XYZ"]
+
+
+def _vector(tree: Tree, parts: Columns) -> Any:
+    return tree.out("ShaderNodeCombineXYZ", "Vector", dict(zip("XYZ", parts, strict=True)))
+
+
+def _combine(tree: Tree, vectors: Columns, factors: Columns) -> Any:
+    """sum_k factors[k] vectors[k]."""
+    total = tree.scale(vectors[0], factors[0])
+    for vector, factor in zip(vectors[1:], factors[1:], strict=True):
+        total = tree.vector("ADD", total, tree.scale(vector, factor))
+    return total
