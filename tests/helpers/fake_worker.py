@@ -57,7 +57,8 @@ def act(cloud: Any, skeleton: Any, settings: dict[str, Any], progress: Any, chec
     weights = np.zeros((cloud.count, skeleton.count), np.float32)
     weights[:, 0] = 1.0
     report = {"settings": settings, "loss": np.float32(0.5), "curve": np.array([1.0, np.inf])}
-    return SimpleNamespace(weights=weights, report=report, previews={"rest": np.full((4, 6, 3), 0.5)})
+    previews = {"rest": np.full((4, 6, 3), 0.5)}
+    return SimpleNamespace(weights=weights, report=report, previews=previews, mesh_weights=None)
 
 
 def main() -> int:

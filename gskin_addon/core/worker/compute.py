@@ -37,6 +37,9 @@ class Outcome(Protocol):
     @property
     def previews(self) -> Mapping[str, Any]: ...
 
+    @property
+    def mesh_weights(self) -> Any: ...
+
 
 Pipeline = Callable[[Any, Any, dict[str, Any], Progress, Path], Outcome]
 
@@ -96,7 +99,7 @@ def run_job(
             seconds = time.monotonic() - started
             progress("write", 1.0, {}, "Writing the weights")
             report = {**outcome.report, "worker": {"seconds": round(seconds, 2), **_machine()}}
-            write_result(job, outcome.weights, report, outcome.previews)
+            write_result(job, outcome.weights, report, outcome.previews, outcome.mesh_weights)
     send({"stage": "done", "fraction": 1.0, "seconds_left": 0.0, "losses": {}, "message": "Done"})
 
 

@@ -6,7 +6,8 @@ asked:
     splats.npz      means (N,3), quats (N,4) wxyz, scales (N,3) linear, opacities (N,), sh (N,K,3); world
     skeleton.json   deform bones, world space (Skeleton.to_json)
 answered:
-    weights.npz     weights (N,B) float32, rows sum to 1; bones (B,), heads (B,3), tails (B,3), parents (B,)
+    weights.npz     weights (N,B) float32, rows sum to 1; bones (B,), heads (B,3), tails (B,3), parents (B,);
+                    with a proxy mesh also mesh_weights (V,B) of its vertices
     previews/*.png  pictures of the result
     report.json     what was done and measured; written last, so a folder with it is finished
 meanwhile:
@@ -67,6 +68,7 @@ class Result:
     weights: (N, B) float32, one row per splat in the job's order, rows sum to 1.
     bones: B names; heads, tails: (B, 3) metres, world space; parents: (B,) index, -1 for a root.
     report: numbers and words of report.json; previews: picture files by name.
+    mesh_weights: (V, B) float32 of the proxy mesh's vertices, where the job had one.
     """
 
     weights: NDArray[np.float32]
@@ -76,6 +78,7 @@ class Result:
     parents: NDArray[np.int64]
     report: dict[str, Any]
     previews: dict[str, Path]
+    mesh_weights: NDArray[np.float32] | None = None
 
 
 def write_job(
@@ -163,20 +166,27 @@ def read_job(folder: str | Path) -> Job:
     return Job(folder, settings, cloud, skeleton, str(head.get("fingerprint", "")))
 
 
-def write_weights(path: str | Path, weights: NDArray[Any], skeleton: Skeleton) -> None:
-    """Write weights.npz: `weights` (N, B) with the bones that they belong to.
+def write_weights(
+    path: str | Path,
+    weights: NDArray[Any],
+    skeleton: Skeleton,
+    mesh_weights: NDArray[Any] | None = None,
+) -> None:
+    """Write weights.npz: `weights` (N, B), `mesh_weights` (V, B), with the bones that they belong to.
 
     Raises:
         ValueError: not (N, B), not finite, negative, or rows that do not sum to 1 (1e-3).
         GSkinError: the file cannot be written.
     """
-    fault = _fault_in(weights, skeleton.count)
-    if fault:
-        raise ValueError(fault)
+    arrays = {"weights": weights} if mesh_weights is None else {"weights": weights, "mesh_weights": mesh_weights}
+    for values in arrays.values():
+        fault = _fault_in(values, skeleton.count)
+        if fault:
+            raise ValueError(fault)
     write_arrays(
         Path(path),
         {
-            "weights": np.ascontiguousarray(weights, dtype=np.float32),
+            **{name: np.ascontiguousarray(values, dtype=np.float32) for name, values in arrays.items()},
             "bones": np.array(skeleton.names, dtype=np.str_),
             "heads": np.asarray(skeleton.heads, dtype=np.float64),
             "tails": np.asarray(skeleton.tails, dtype=np.float64),
@@ -192,10 +202,12 @@ def read_weights(path: str | Path) -> Result:
         InputError: missing, damaged, or weights that are not (N, B) rows summing to 1.
     """
     path = Path(path)
-    arrays = _read_arrays(path, ("weights", *_RIG_ARRAYS))
-    fault = _fault_in(arrays["weights"], len(arrays["bones"]))
-    if fault:
-        raise InputError(f"'{path}' does not hold skinning weights ({fault}); make it again with gskin.")
+    arrays = _read_arrays(path, ("weights", *_RIG_ARRAYS), ("mesh_weights",))
+    on_mesh = arrays.get("mesh_weights")
+    for values in (arrays["weights"], on_mesh):
+        fault = "" if values is None else _fault_in(values, len(arrays["bones"]))
+        if fault:
+            raise InputError(f"'{path}' does not hold skinning weights ({fault}); make it again with gskin.")
     return Result(
         weights=arrays["weights"].astype(np.float32, copy=False),
         bones=tuple(str(name) for name in arrays["bones"]),
@@ -204,16 +216,21 @@ def read_weights(path: str | Path) -> Result:
         parents=arrays["parents"].astype(np.int64),
         report={},
         previews={},
+        mesh_weights=None if on_mesh is None else on_mesh.astype(np.float32, copy=False),
     )
 
 
 def write_result(
-    job: Job, weights: NDArray[Any], report: Mapping[str, Any], previews: Mapping[str, NDArray[Any]]
+    job: Job,
+    weights: NDArray[Any],
+    report: Mapping[str, Any],
+    previews: Mapping[str, NDArray[Any]],
+    mesh_weights: NDArray[Any] | None = None,
 ) -> None:
     """Write a job's answer: weights, pictures by name ((H, W, 3) in 0..1), and the report last of all."""
     if len(weights) != job.cloud.count:
         raise ValueError(f"{len(weights)} rows of weights for {job.cloud.count} splats")
-    write_weights(job.folder / WEIGHTS, weights, job.skeleton)
+    write_weights(job.folder / WEIGHTS, weights, job.skeleton, mesh_weights)
     pictures = job.folder / PREVIEWS
     try:
         pictures.mkdir(exist_ok=True)
@@ -243,6 +260,7 @@ def read_result(folder: str | Path) -> Result:
         weights.parents,
         report=_read_json(folder / REPORT),
         previews=previews,
+        mesh_weights=weights.mesh_weights,
     )
 
 
@@ -311,13 +329,15 @@ def _read_json(path: Path) -> dict[str, Any]:
     return value
 
 
-def _read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
+def _read_arrays(
+    path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()
+) -> dict[str, NDArray[Any]]:
     try:
         with np.load(path, allow_pickle=False) as file:
             missing = [name for name in names if name not in file.files]
             if missing:
                 raise InputError(f"'{path}' lacks the array {', '.join(missing)}; write it again.")
-            return {name: file[name] for name in names}
+            return {name: file[name] for name in (*names, *optional) if name in file.files}
     except FileNotFoundError:
         raise InputError(
             f"'{path}' is missing; '{path.parent}' is not a whole job, write it again."
