@@ -54,6 +54,13 @@ def _rig(commands: Any) -> None:
     rig.add_argument("--armature-name", metavar="NAME", help="which armature, where the file has several")
     rig.add_argument("--out", type=Path, required=True, metavar="OUT", help="what to write: .blend or .glb")
     rig.add_argument("--weights", type=Path, metavar="W.npz", help="also write the weights as arrays")
+    rig.add_argument(
+        "--mesh",
+        type=Path,
+        metavar="PROXY",
+        help="a mesh of the same object (.obj, .ply, .glb, .npz, ...): learn weights on it, hang the splats on it",
+    )
+    rig.add_argument("--mesh-up", choices=UP_AXES, help="that mesh's up axis (default: y for .glb and .gltf, else z)")
     rig.add_argument("--ply-up", choices=UP_AXES, default="z", help="the PLY's up axis (default: Blender's, z)")
     rig.add_argument("--drop-invalid", action="store_true", help="leave out splats with NaN or infinite values")
     rig.add_argument(

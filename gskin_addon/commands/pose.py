@@ -43,14 +43,14 @@ def open_posed(options: argparse.Namespace) -> bpy.types.Object:
     import bpy
 
     from ..scene import rig_files
-    from ..scene.bone_frames import armature_of
     from ..scene.posing import turn_bones
+    from ..scene.proxy_object import followed_armature
 
     if options.source.suffix.lower() != ".blend":
         raise InputError(f"'{options.source}' is no .blend; give one that `gskin rig` wrote.")
     rig_files.open_blend(options.source)
     obj = rig_files.find_splats(options.source, options.object)
-    armature = armature_of(obj)
+    armature = followed_armature(obj)
     wanted = turns or options.action or options.frame is not None
     if armature is None:
         if wanted:

@@ -9,7 +9,7 @@ import json
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
 from ..core.rig.lbs import sparsify
@@ -19,10 +19,14 @@ from ..core.splats.ply import read_ply
 from ..core.worker.client import ProgressEvent, WorkerClient
 from ..core.worker.contract import Result, write_job, write_weights
 from ..core.worker.interpreter import find_worker_python
+from ..core.worker.mesh_files import read_mesh, write_mesh
 from ..core.worker.settings import JobSettings
 from .blender import require_bpy
 from .console import ProgressPrinter, say
 from .paths import check_output, same_file
+
+if TYPE_CHECKING:
+    import bpy
 
 
 def run(options: argparse.Namespace) -> None:
@@ -30,7 +34,7 @@ def run(options: argparse.Namespace) -> None:
     check_output(options.out, "--out", (".blend", ".glb"))
     if options.weights is not None:
         check_output(options.weights, "--weights", (".npz",))
-    for given in (options.armature, options.splats):
+    for given in (options.armature, options.splats, *([options.mesh] if options.mesh else [])):
         if same_file(given, options.out):
             raise InputError(f"--out '{options.out}' would overwrite its own input; choose another name.")
     python = find_worker_python(options.python)
@@ -40,6 +44,7 @@ def run(options: argparse.Namespace) -> None:
             "(pip install 'gskin_addon[worker]' makes one)."
         )
     cloud = read_splats(options.splats, options.ply_up, options.drop_invalid)
+    mesh = None if options.mesh is None else read_proxy(options.mesh, options.mesh_up)
 
     require_bpy()
     from ..scene import rig_files
@@ -60,6 +65,8 @@ def run(options: argparse.Namespace) -> None:
     JobSettings.parse(settings)
     printer = ProgressPrinter(options.progress)
     with _job_folder(options.job_dir) as folder, contextlib.closing(printer):
+        if mesh is not None:
+            settings["mesh"] = write_mesh(folder, *mesh)
         write_job(
             folder,
             cloud,
@@ -73,8 +80,12 @@ def run(options: argparse.Namespace) -> None:
         weights = sparsify(result.weights, options.max_influences)
         printer(ProgressEvent("save", 1.0, message=options.out.name))
         if options.weights is not None:
-            write_weights(options.weights, weights, skeleton)
-        _save(options.out, cloud, options.splats.stem, armature, weights, result.bones, options.max_influences)
+            write_weights(options.weights, weights, skeleton, result.mesh_weights)
+        obj = _bind(cloud, options.splats.stem, armature, weights, result.bones, options.max_influences)
+        # glTF knows no anchors: there the splats keep weights of their own, blended from the mesh's.
+        if mesh is not None and options.out.suffix.lower() == ".blend":
+            _anchor(obj, options.mesh.stem, mesh, armature, result)
+        _save(options.out, obj)
     say(f"{cloud.count:,} splats follow {skeleton.count} bones in '{options.out}'.")
 
 
@@ -89,6 +100,13 @@ def read_splats(path: Path, up: str, drop_invalid: bool) -> SplatCloud:
     if dropped:
         say(f"'{path}': {dropped:,} invalid splats of {splats.total:,} were left out.")
     return splats.cloud if up == "z" else rotate_cloud(splats.cloud, up_rotation(up))
+
+
+def read_proxy(path: Path, up: str | None) -> tuple[Any, Any]:
+    """Vertices in Blender's world axes and triangles of a mesh file; glTF's y axis points up by its own rules."""
+    verts, faces = read_mesh(path)
+    up = up or ("y" if path.suffix.lower() in (".glb", ".gltf") else "z")
+    return verts @ up_rotation(up).T, faces
 
 
 def parse_guidance_options(given: list[str]) -> dict[str, Any]:
@@ -111,15 +129,27 @@ def _work(python: Path, folder: Path, printer: ProgressPrinter) -> Result:
     return client.wait(printer)
 
 
-def _save(
-    out: Path, cloud: SplatCloud, name: str, armature: object, weights: object, bones: object, influences: int
-) -> None:
-    from ..scene import rig_files
+def _bind(
+    cloud: SplatCloud, name: str, armature: object, weights: object, bones: object, influences: int
+) -> bpy.types.Object:
     from ..scene.splat_object import create_splat_object
     from ..scene.weights import write_weights as write_groups
 
     obj = create_splat_object(cloud, name)
     write_groups(obj, armature, weights, bones, max_influences=influences)
+    return obj
+
+
+def _anchor(obj: object, name: str, mesh: tuple[Any, Any], armature: object, result: Result) -> None:
+    from ..scene.anchored import anchor_to_mesh
+    from ..scene.proxy_object import create_proxy
+
+    anchor_to_mesh(obj, create_proxy(name, *mesh, armature, result.mesh_weights, result.bones))
+
+
+def _save(out: Path, obj: bpy.types.Object) -> None:
+    from ..scene import rig_files
+
     if out.suffix.lower() == ".glb":
         from ..scene.gltf_export import export_glb
 

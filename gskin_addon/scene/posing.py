@@ -12,8 +12,10 @@ import numpy as np
 from ..core.errors import InputError
 from ..core.rig.lbs import skin_cloud
 from ..core.splats.cloud import SplatCloud
+from .anchored import proxy_of
 from .armature import pose_transforms_of
 from .bone_frames import armature_of
+from .proxy_object import posed_anchored
 from .splat_object import read_cloud
 from .weights import read_weights
 
@@ -49,7 +51,12 @@ def turn_bones(
 
 
 def posed_cloud(obj: bpy.types.Object) -> SplatCloud:
-    """The splats of `obj` in world space as its armature poses them now (at rest where it follows none)."""
+    """The splats of `obj` in world space as its armature, or the mesh they hang on, poses them now.
+
+    At rest where they follow neither.
+    """
+    if proxy_of(obj) is not None:
+        return posed_anchored(obj)
     cloud = read_cloud(obj)
     armature = armature_of(obj)
     if armature is None:

@@ -84,7 +84,7 @@ def read_cloud(obj: bpy.types.Object, *, world: bool = True) -> SplatCloud:
         sh=sh,
         extra=_read_extra(mesh),
     )
-    return _to_world(cloud, obj) if world else cloud
+    return to_world(cloud, obj) if world else cloud
 
 
 def replace_cloud(obj: bpy.types.Object, cloud: SplatCloud) -> None:
@@ -147,7 +147,8 @@ def _require(obj: bpy.types.Object, name: str) -> NDArray[Any]:
     return values
 
 
-def _to_world(cloud: SplatCloud, obj: bpy.types.Object) -> SplatCloud:
+def to_world(cloud: SplatCloud, obj: bpy.types.Object) -> SplatCloud:
+    """A cloud in the object's space, in world space. InputError for non-uniform or mirrored scale."""
     rotation, scale, translation = world_similarity(obj)
     if scale == 1.0 and not translation.any() and np.array_equal(rotation, np.eye(3)):
         return cloud

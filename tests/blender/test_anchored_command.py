@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`gskin rig --mesh`: from a mesh file to splats that hang on it, posed and saved."""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+import pytest
+from proxy_meshes import tube
+
+bpy = pytest.importorskip("bpy")
+
+from rig_scenes import posed_in_blender
+
+from gskin_addon import cli
+from gskin_addon.commands import rig as rig_command
+from gskin_addon.core.splats.ply import read_ply, write_ply
+from gskin_addon.core.worker.contract import Result, read_job, read_weights
+from gskin_addon.core.worker.mesh_files import read_mesh
+from gskin_addon.scene.anchored import proxy_of
+from gskin_addon.scene.posing import posed_cloud
+from gskin_addon.scene.splat_object import is_splat_object
+from tests.helpers.limb import make_limb
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    """A limb as .ply, its armature, its mesh as y-up .glb; and a worker that answers at once."""
+    trimesh = pytest.importorskip("trimesh")
+    limb = make_limb(400)
+    write_ply(tmp_path / "limb.ply", limb.cloud)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    armature = bpy.data.objects.new("Rig", bpy.data.armatures.new("Rig"))
+    bpy.context.scene.collection.objects.link(armature)
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.object.mode_set(mode="EDIT")
+    for k, name in enumerate(limb.skeleton.names):
+        bone = armature.data.edit_bones.new(name)
+        bone.head, bone.tail = (k, 0, 0), (k + 1, 0, 0)
+        bone.parent = armature.data.edit_bones.get(f"bone{k - 1}")
+    bpy.ops.object.mode_set(mode="OBJECT")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "rig.blend"), copy=True)
+    verts, faces = tube(rings=37)
+    yup = np.stack([verts[:, 0], verts[:, 2], -verts[:, 1]], axis=1)
+    trimesh.Trimesh(yup, faces, process=False).export(tmp_path / "body.glb")
+
+    def work(python, folder, printer):
+        job = read_job(folder)
+        points, _ = read_mesh(folder / job.settings["mesh"])
+        weights = np.exp(-6 * np.square(points[:, :1] - [0.5, 1.5, 2.5])).astype(np.float32)
+        weights /= weights.sum(axis=1, keepdims=True)
+        rig = job.skeleton
+        return Result(limb.weights, rig.names, rig.heads, rig.tails, rig.parents, {}, {}, mesh_weights=weights)
+
+    monkeypatch.setattr(rig_command, "_work", work)
+    return tmp_path
+
+
+def rig(files, out, *options):
+    return cli.main(
+        ["rig", str(files / "limb.ply"), "--armature", str(files / "rig.blend"), "--out", str(files / out),
+         "--mesh", str(files / "body.glb"), "--python", sys.executable, "--progress", "none", *options]
+    )  # fmt: skip
+
+
+def test_rigged_splats_hang_on_the_mesh_and_pose_like_the_core(files):
+    assert rig(files, "out.blend", "--weights", str(files / "w.npz")) == 0
+    assert read_weights(files / "w.npz").mesh_weights.shape == (37 * 12, 3)
+    turn = ["--rotate", "bone1", "0", "0", "60"]
+    assert cli.main(["pose", str(files / "out.blend"), "--out", str(files / "posed.ply"), *turn]) == 0
+    obj = next(obj for obj in bpy.data.objects if is_splat_object(obj))
+    assert proxy_of(obj).name == "body"
+    cloud = posed_cloud(obj)
+    np.testing.assert_allclose(read_ply(files / "posed.ply").cloud.means, cloud.means, atol=1e-6)
+    rest = read_ply(files / "limb.ply").cloud
+    assert np.linalg.norm(cloud.means - rest.means, axis=1).max() > 1
+    assert np.abs(cloud.scales / rest.scales - 1).max() > 0.05
+    points, _ = posed_in_blender(obj)
+    assert np.abs(points - cloud.means).max() < 1e-5 * 3
+
+
+def test_a_glb_gets_the_splats_own_weights(files):
+    assert rig(files, "out.glb") == 0
+    assert (files / "out.glb").stat().st_size > 1000
+
+
+def test_a_mesh_that_is_none_is_one_sentence(files, capsys):
+    (files / "body.glb").write_bytes(b"no")
+    assert rig(files, "out.blend") == 2
+    assert "body.glb' cannot be read as a mesh" in capsys.readouterr().err
+    assert not (files / "out.blend").exists()
