@@ -176,7 +176,10 @@ def _offset(tree: Tree, corners: Columns) -> Any:
     across = tree.vector("CROSS_PRODUCT", first, last)
     edges = [tree.vector("LENGTH", edge) for edge in (first, last, tree.vector("SUBTRACT", last, first))]
     product = tree.math("MULTIPLY", tree.math("MULTIPLY", edges[0], edges[1]), edges[2])
-    radius = tree.math("DIVIDE", tree.math("MULTIPLY", product, 0.5), tree.vector("LENGTH", across))
+    double = tree.vector("LENGTH", across)
+    radius = tree.math("DIVIDE", tree.math("MULTIPLY", product, 0.5), double)
+    most = tree.math("MULTIPLY", tree.attribute(names.REACH, "FLOAT"), tree.math("SQRT", double))
+    radius = tree.math("MINIMUM", radius, most)
     normal, tangent = tree.vector("NORMALIZE", across), tree.vector("NORMALIZE", first)
     frame = [tangent, tree.vector("CROSS_PRODUCT", normal, tangent), normal]
     local = _parts(tree, tree.attribute(names.RESIDUAL, "FLOAT_VECTOR"))

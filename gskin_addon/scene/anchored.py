@@ -28,6 +28,8 @@ from .splat_object import is_splat_object, read_cloud, refuse_edit_mode
 
 Array = NDArray[Any]
 
+_ATTRIBUTES = (names.FACE, names.BARY, names.BETA, names.RESIDUAL, names.REACH)
+
 
 def anchor_to_mesh(obj: bpy.types.Object, proxy: bpy.types.Object, *, keep_residual: bool = True) -> Anchors:
     """Let the splats of `obj` follow the mesh object `proxy`, both as they are at rest (without modifiers).
@@ -57,6 +59,7 @@ def anchor_to_mesh(obj: bpy.types.Object, proxy: bpy.types.Object, *, keep_resid
     write_attribute(mesh, names.BARY, "FLOAT_VECTOR", anchors.bary)
     write_attribute(mesh, names.BETA, "FLOAT", anchors.beta)
     write_attribute(mesh, names.RESIDUAL, "FLOAT_VECTOR", anchors.residual)
+    write_attribute(mesh, names.REACH, "FLOAT", anchors.reach)
     mesh.update()
     for modifier in (find_rotation(obj), armature_modifier(obj)):
         if modifier is not None:
@@ -79,7 +82,7 @@ def release(obj: bpy.types.Object) -> None:
     modifier = find_anchor(obj)
     if modifier is not None:
         obj.modifiers.remove(modifier)
-    for name in (names.FACE, names.BARY, names.BETA, names.RESIDUAL):
+    for name in _ATTRIBUTES:
         attribute = obj.data.attributes.get(name)
         if attribute is not None:
             obj.data.attributes.remove(attribute)
@@ -98,11 +101,11 @@ def read_anchors(obj: bpy.types.Object) -> tuple[Anchors, Array, Array]:
     """
     modifier = find_anchor(obj)
     helper = None if modifier is None else get_input(modifier, MESH_INPUT)
-    values = [read_attribute(obj.data, name) for name in (names.FACE, names.BARY, names.BETA, names.RESIDUAL)]
+    values = [read_attribute(obj.data, name) for name in _ATTRIBUTES]
     if helper is None or any(value is None for value in values):
         raise InputError(f"'{obj.name}' is not anchored to a mesh; anchor it first.")
-    face, bary, beta, residual = (np.asarray(value, np.float64) for value in values)
-    anchors = Anchors(face.astype(np.int64), bary, beta, residual, np.zeros(len(face)))
+    face, bary, beta, residual, reach = (np.asarray(value, np.float64) for value in values)
+    anchors = Anchors(face.astype(np.int64), bary, beta, residual, reach, np.zeros(len(face)))
     return anchors, read_positions(helper.data).astype(np.float64), _triangles(helper.data)
 
 

@@ -35,11 +35,13 @@ ANCHOR_MODIFIER = "GSkin Anchor"
 ANCHOR_MARK = "gskin_anchor_mesh"
 """Custom property that marks the hidden helper mesh of anchored splats."""
 
-# Where a splat hangs on its proxy mesh (Eq. 4): triangle, barycentrics, offset, and what Eq. 4 leaves out.
+# Where a splat hangs on its proxy mesh (Eq. 4): triangle, barycentrics, offset, what Eq. 4 leaves out, and the bound
+# of the posed circumradius.
 FACE = "gskin:face"
 BARY = "gskin:bary"
 BETA = "gskin:beta"
 RESIDUAL = "gskin:residual"
+REACH = "gskin:reach"
 
 # On the corners of the helper mesh: neighbours in the triangle and coefficients of the one-ring maps.
 CORNER_NEXT = "gskin:next"

@@ -23,6 +23,13 @@ Array = NDArray[Any]
 BETA = 0.5
 """Largest normal offset of Eq. 4, in circumradii."""
 
+GROWTH = 1.5
+"""How much more than its size (the root of its area) a posed triangle's circumradius may grow.
+
+A triangle stretched to a needle has an endless circumradius, and Eq. 4 would shoot its splats off the body.
+Stretches of up to 2.7 and all similarities stay below.
+"""
+
 FARTHEST = 0.1
 """Mean distance to the proxy mesh, in diagonals of the splats, beyond which it cannot be theirs."""
 
@@ -37,6 +44,7 @@ class Anchors:
     residual: (N, 3) float64 what Eq. 4 leaves out at rest, in the triangle's frame (`face_frames`) and in
               circumradii: the clamped part of the offset, and the sideways part where the nearest point lies on an
               open or convex edge. It moves with the triangle. Zero when anchored with keep_residual=False.
+    reach:    (N,) float64 largest posed circumradius over the root of the doubled area (see `GROWTH`).
     miss:     (N,) float64 how far Eq. 4 alone misses the rest centre, in the mesh's unit.
     """
 
@@ -44,6 +52,7 @@ class Anchors:
     bary: Array
     beta: Array
     residual: Array
+    reach: Array
     miss: Array
 
     @property
@@ -76,13 +85,15 @@ def anchor_splats(
     faces: ArrayLike,
     *,
     keep_residual: bool = True,
+    growth: float = GROWTH,
     label: str = "the proxy mesh",
 ) -> Anchors:
     """Anchor every splat to its nearest triangle (Eq. 4).
 
     means (N, 3) and verts (V, 3) in the same space at rest, faces (F, 3). The search is exact; triangles too thin
     to carry anything are passed over. beta is clamped to [-0.5, 0.5] as the paper has it. With `keep_residual` the
-    rest centres are nevertheless met exactly, otherwise splats beyond move onto that limit.
+    rest centres are nevertheless met exactly, otherwise splats beyond move onto that limit. `growth` bounds the
+    posed circumradius; a large one (1e9) gives Eq. 4 to the letter.
 
     Raises:
         InputError: a mesh that cannot carry splats (see `check_mesh`), centres that are not finite.
@@ -95,7 +106,7 @@ def anchor_splats(
     index, bary = nearest_triangles(points, vertices[triangles[solid]])
     face = solid[index]
     corner = vertices[triangles[face]]
-    frames, radius = face_frames(vertices, triangles[face])
+    frames, radius, double = face_frames(vertices, triangles[face])
     offset = points - np.einsum("nk,nkd->nd", bary, corner)
     local = np.einsum("nij,ni->nj", frames, offset) / radius[:, None]
     beta = np.clip(local[:, 2], -BETA, BETA)
@@ -104,7 +115,8 @@ def anchor_splats(
     # Where the foot lies inside, the sideways part is rounding.
     residual[np.abs(residual) < 1e-12] = 0
     miss = np.linalg.norm(residual, axis=1) * radius
-    return Anchors(face, bary, beta, residual if keep_residual else np.zeros_like(residual), miss)
+    kept = residual if keep_residual else np.zeros_like(residual)
+    return Anchors(face, bary, beta, kept, growth * radius / np.sqrt(double), miss)
 
 
 def check_fit(anchors: Anchors, means: ArrayLike, verts: Array, faces: Array, label: str = "the proxy mesh") -> None:
@@ -122,10 +134,14 @@ def check_fit(anchors: Anchors, means: ArrayLike, verts: Array, faces: Array, la
 
 
 def anchored_points(anchors: Anchors, posed_verts: Array, faces: Array) -> Array:
-    """Centres (..., N, 3) by Eq. 4 with posed normals and circumradii; posed_verts (..., V, 3), faces (F, 3)."""
+    """Centres (..., N, 3) by Eq. 4 with posed normals and circumradii (bounded, see `GROWTH`).
+
+    posed_verts (..., V, 3), faces (F, 3).
+    """
     posed = np.asarray(posed_verts, dtype=np.float64)
     triangles = np.asarray(faces)[anchors.face]
-    frames, radius = face_frames(posed, triangles)
+    frames, radius, double = face_frames(posed, triangles)
+    radius = np.minimum(radius, anchors.reach * np.sqrt(double))
     local = anchors.residual + anchors.beta[:, None] * np.array([0.0, 0.0, 1.0])
     out: Array = np.einsum("nk,...nkd->...nd", anchors.bary, posed[..., triangles, :])
     out += np.einsum("...nij,nj->...ni", frames, local) * radius[..., None]

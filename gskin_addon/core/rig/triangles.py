@@ -62,12 +62,12 @@ def triangle_quality(verts: Array, faces: Array) -> Array:
     return result
 
 
-def face_frames(verts: Array, faces: Array) -> tuple[Array, Array]:
-    """An orthonormal frame per triangle and the circumradii.
+def face_frames(verts: Array, faces: Array) -> tuple[Array, Array, Array]:
+    """An orthonormal frame per triangle, the circumradii, and twice the areas.
 
-    Returns frames (..., F, 3, 3), columns: along the first edge, normal x that, unit normal; and circumradii
-    (..., F) in the unit of `verts` (..., V, 3). A triangle without an area (in a pose, say) has a zero
-    normal, so that nothing is offset from it, and a third of its edges' sum as radius.
+    Returns frames (..., F, 3, 3), columns: along the first edge, normal x that, unit normal; circumradii
+    (..., F) in the unit of `verts` (..., V, 3); doubled areas (..., F) in its square. A triangle without an area
+    (in a pose, say) has a zero normal, so that nothing is offset from it, and a third of its edges' sum as radius.
     """
     corner = verts[..., faces, :]
     first, last = corner[..., 1, :] - corner[..., 0, :], corner[..., 2, :] - corner[..., 0, :]
@@ -80,7 +80,7 @@ def face_frames(verts: Array, faces: Array) -> tuple[Array, Array]:
     tangent = first / np.where(a > 0, a, 1)[..., None]
     frames = np.stack([tangent, np.cross(normal, tangent), normal], axis=-1)
     radius = np.where(solid, a * b * c / np.where(solid, 2 * double, 1), (a + b + c) / 3)
-    return frames, radius
+    return frames, radius, double
 
 
 def closest_barycentric(points: Array, corner: Array) -> Array:

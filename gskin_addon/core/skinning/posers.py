@@ -78,7 +78,9 @@ class AnchoredPoser:
         self._bary = torch.as_tensor(anchors.bary, dtype=torch.float32)
         local = anchors.residual + anchors.beta[:, None] * np.array([0.0, 0.0, 1.0])
         self._local = torch.as_tensor(local, dtype=torch.float32)
-        self._most_radius = 4 * _frames(self._verts[self._faces][None])[1]
+        self._reach = torch.ones(len(faces)).index_put(
+            (self._face,), torch.as_tensor(anchors.reach, dtype=torch.float32)
+        )
         coefficients = ring_coefficients(np.asarray(verts, np.float64), faces)
         self._coefficients = torch.as_tensor(coefficients, dtype=torch.float32)
         known = np.zeros(len(verts), bool)
@@ -88,9 +90,8 @@ class AnchoredPoser:
     def pose(self, weights: torch.Tensor, transforms: NDArray[Any]) -> Posed:
         posed, skinned = pose_splats(self._verts, torch.eye(1, 4).expand(len(self._verts), 4), weights, transforms)
         corner = posed[:, self._faces]
-        frames, radius = _frames(corner)
-        # A triangle that folds to a line would throw its splats away, and the gradients with them.
-        radius = torch.minimum(radius, self._most_radius)
+        frames, radius, double = _frames(corner)
+        radius = torch.minimum(radius, self._reach * double.sqrt())
         offset = (frames * radius[..., None, None])[:, self._face]
         means = (offset * self._local[None, :, None, :]).sum(-1)
         for k in range(3):
@@ -146,7 +147,7 @@ def matrix_quats(rotation: torch.Tensor) -> torch.Tensor:
     return torch.nn.functional.normalize(picked, dim=-1)
 
 
-def _frames(corner: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def _frames(corner: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """`rig.triangles.face_frames` in torch, from corners (P, F, 3, 3)."""
     first, last = corner[:, :, 1] - corner[:, :, 0], corner[:, :, 2] - corner[:, :, 0]
     across = torch.linalg.cross(first, last)
@@ -155,4 +156,4 @@ def _frames(corner: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     a, b, c = ((edge.square().sum(-1) + 1e-24).sqrt() for edge in (first, last, last - first))
     normal, tangent = across / double[..., None], first / a[..., None]
     frames = torch.stack([tangent, torch.linalg.cross(normal, tangent), normal], dim=-1)
-    return frames, a * b * c / (2 * double)
+    return frames, a * b * c / (2 * double), double

@@ -58,11 +58,25 @@ def test_centres_are_those_of_equation_4():
     cloud = cloud_on(verts, faces, spread=0.1)
     posed = verts + np.random.default_rng(1).normal(0, 0.02, verts.shape)
     for keep in (True, False):
-        anchors = anchor_splats(cloud.means, verts, faces, keep_residual=keep)
+        anchors = anchor_splats(cloud.means, verts, faces, keep_residual=keep, growth=1e9)
         fast = anchored_points(anchors, posed, faces)
         slow = [slow_centre(anchors, n, posed, faces, keep) for n in range(cloud.count)]
         np.testing.assert_allclose(fast, slow, atol=1e-12)
         np.testing.assert_allclose(anchored_points(anchors, np.stack([posed, verts]), faces)[0], fast, atol=0)
+
+
+def test_the_bound_of_the_circumradius_acts_on_needles_only():
+    verts, faces = grid()
+    cloud = cloud_on(verts, faces, 200, 0.05)
+    free, bound = (anchor_splats(cloud.means, verts, faces, growth=growth) for growth in (1e9, 1.5))
+    for stretch in (1.0, 2.0, 0.5):
+        posed = verts * [stretch, 1, 1]
+        np.testing.assert_array_equal(anchored_points(bound, posed, faces), anchored_points(free, posed, faces))
+    np.testing.assert_array_equal(*(anchored_points(a, 9 * verts, faces) for a in (free, bound)))
+    needles = verts * [40, 1, 1]
+    far, near = (np.abs(anchored_points(a, needles, faces)[:, 2]).max() for a in (free, bound))
+    assert near < 10 * np.abs(cloud.means[:, 2]).max() < far
+    assert np.isfinite(anchored_points(bound, verts * [1, 0, 0], faces)).all()
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 0.5))

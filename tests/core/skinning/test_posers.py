@@ -58,7 +58,7 @@ def test_vanilla_splats_are_posed_as_before(scene):
 def test_gradients_are_those_of_small_steps(scene):
     limb, verts, faces, weights, transforms = scene
     poser = AnchoredPoser(limb.cloud, anchor_splats(limb.cloud.means, verts, faces), verts, faces)
-    for name in ("_quats", "_verts", "_bary", "_local", "_coefficients", "_most_radius"):
+    for name in ("_quats", "_verts", "_bary", "_local", "_coefficients", "_reach"):
         setattr(poser, name, getattr(poser, name).double())
     rng = np.random.default_rng(3)
     pull = [torch.from_numpy(rng.normal(size=(2, 300, k))) for k in (3, 4)]
