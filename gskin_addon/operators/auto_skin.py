@@ -8,7 +8,7 @@ import bpy
 from ..core.errors import Cancelled, GSkinError
 from ..ui import progress
 from ..ui.preferences import worker_python
-from ..ui.properties import chosen_armature, chosen_splats
+from ..ui.properties import chosen_armature, chosen_splats, proxy_mesh
 from .skin_job import SkinJob
 
 TICK = 0.1
@@ -78,7 +78,9 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
         settings = context.scene.gskin.as_job()
         python, _ = worker_python(context)
         try:
-            self._job = SkinJob.start(chosen_splats(context), chosen_armature(context), settings, python)
+            self._job = SkinJob.start(
+                chosen_splats(context), chosen_armature(context), settings, python, proxy_mesh(context)
+            )
         except GSkinError as error:
             self._fail(context, error)
             return False

@@ -16,8 +16,11 @@ from ..core.errors import GSkinError, InputError
 from ..core.worker.client import ProgressEvent, WorkerClient
 from ..core.worker.contract import LOCK, fingerprint, write_job
 from ..core.worker.lock import job_lock
+from ..core.worker.mesh_files import mesh_name, write_mesh
 from ..scene import names
+from ..scene.anchored import anchor_to_mesh, read_world_mesh
 from ..scene.armature import read_skeleton
+from ..scene.proxy_object import bind_proxy
 from ..scene.splat_object import read_cloud, splat_count
 from ..scene.weights import write_weights
 
@@ -36,6 +39,7 @@ class SkinJob:
     armature: tuple[int, str]
     count: int
     max_influences: int
+    proxy: tuple[int, str] | None = None
     started: float = field(default_factory=time.monotonic)
     progress: ProgressEvent = field(default_factory=lambda: ProgressEvent("start"))
     progress_at: float = field(default_factory=time.monotonic)
@@ -43,9 +47,16 @@ class SkinJob:
 
     @classmethod
     def start(
-        cls, splats: bpy.types.Object, armature: bpy.types.Object, settings: dict[str, Any], python: Path
+        cls,
+        splats: bpy.types.Object,
+        armature: bpy.types.Object,
+        settings: dict[str, Any],
+        python: Path,
+        proxy: bpy.types.Object | None = None,
     ) -> SkinJob:
         """Write the job of these objects at rest, in world space, and start a worker on it.
+
+        With `proxy`, a mesh object, the weights are learned on its vertices and the splats are anchored to it.
 
         Raises:
             InputError: objects that cannot be skinned, an interpreter that cannot be started.
@@ -55,6 +66,9 @@ class SkinJob:
         cloud = read_cloud(splats)
         home = jobs_folder()
         forget_old_jobs(home)
+        mesh = None if proxy is None else read_world_mesh(proxy)
+        if mesh is not None:
+            settings = {**settings, "mesh": mesh_name(*mesh)}
         folder = home / fingerprint(cloud, skeleton, settings)
         write_job(
             folder,
@@ -65,6 +79,8 @@ class SkinJob:
             armature=f"Armature '{armature.name}'",
             up=str(splats.data[names.MARK].get("up", "z")),
         )
+        if mesh is not None:
+            write_mesh(folder, *mesh)
         client = WorkerClient(python, folder)
         client.start()
         return cls(
@@ -73,6 +89,7 @@ class SkinJob:
             (armature.session_uid, armature.name),
             cloud.count,
             int(settings["max_influences"]),
+            None if proxy is None else (proxy.session_uid, proxy.name),
         )
 
     def step(self) -> bool:
@@ -96,17 +113,23 @@ class SkinJob:
     def apply(self) -> str:
         """Write the weights of the ended job to the objects; returns a sentence about them.
 
+        A proxy mesh gets its weights too, and the splats follow it.
+
         Raises:
             GSkinError: the job did not end well, or the objects are not what they were; nothing is written.
         """
-        splats, armature = self._objects()
+        splats, armature, *proxies = self._objects()
         result = self.client.result()
         if splat_count(splats) != self.count:
             raise InputError(
                 f"'{splats.name}' had {self.count} splats when the job started, now {splat_count(splats)}; "
                 "run Auto-Skin again."
             )
+        for proxy in proxies:
+            bind_proxy(proxy, armature, result.mesh_weights, result.bones)
         write_weights(splats, armature, result.weights, result.bones, max_influences=self.max_influences)
+        for proxy in proxies:
+            anchor_to_mesh(splats, proxy)
         shutil.rmtree(self.client.folder, ignore_errors=True)
         seconds = time.monotonic() - self.started
         words = (
@@ -121,9 +144,13 @@ class SkinJob:
         left = self.progress.seconds_left
         return None if left is None else max(0.0, left - (time.monotonic() - self.progress_at))
 
-    def _objects(self) -> tuple[bpy.types.Object, bpy.types.Object]:
+    def _objects(self) -> list[bpy.types.Object]:
+        """The splat object, the armature, and the proxy mesh where there is one."""
         found = []
-        for (uid, name), what in ((self.splats, "splat object"), (self.armature, "armature")):
+        wanted = [(self.splats, "splat object"), (self.armature, "armature")]
+        if self.proxy is not None:
+            wanted.append((self.proxy, "mesh"))
+        for (uid, name), what in wanted:
             obj = _object_by_uid(uid, name)
             if obj is None:
                 self.cancel()
@@ -131,7 +158,7 @@ class SkinJob:
                     f"The {what} '{name}' was deleted while its weights were made; nothing was written."
                 )
             found.append(obj)
-        return found[0], found[1]
+        return found
 
 
 def jobs_folder() -> Path:

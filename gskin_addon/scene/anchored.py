@@ -123,6 +123,14 @@ def read_mesh(proxy: bpy.types.Object) -> tuple[Array, Array]:
     return read_positions(proxy.data).astype(np.float64), faces
 
 
+def read_world_mesh(proxy: bpy.types.Object) -> tuple[Array, Array]:
+    """`read_mesh` in world space."""
+    verts, faces = read_mesh(proxy)
+    bpy.context.view_layer.update()
+    matrix = np.array(proxy.matrix_world, dtype=np.float64)
+    return verts @ matrix[:3, :3].T + matrix[:3, 3], faces
+
+
 def _triangles(mesh: bpy.types.Mesh) -> Array:
     mesh.calc_loop_triangles()
     flat = np.empty(3 * len(mesh.loop_triangles), dtype=np.int32)

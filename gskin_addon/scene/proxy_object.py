@@ -16,8 +16,8 @@ from ..core.splats.cloud import SplatCloud
 from . import names
 from .anchored import proxy_of, read_anchors
 from .attributes import read_positions
-from .bone_frames import armature_of
-from .splat_object import read_cloud, to_world
+from .bone_frames import armature_modifier, armature_of
+from .splat_object import read_cloud, refuse_edit_mode, to_world
 
 Array = NDArray[Any]
 
@@ -34,16 +34,40 @@ def create_proxy(
     obj = bpy.data.objects.new(name, mesh)
     bpy.context.scene.collection.objects.link(obj)
     obj.display_type, obj.hide_render = "WIRE", True
-    obj.parent = armature
-    obj.matrix_parent_inverse = armature.matrix_world.inverted()
+    bind_proxy(obj, armature, weights, bones)
+    return obj
+
+
+def bind_proxy(obj: bpy.types.Object, armature: bpy.types.Object, weights: Array, bones: Sequence[str]) -> None:
+    """Let `armature` move the mesh object by weights (V, B): vertex groups, parent (in place), Armature modifier.
+
+    Vertex groups of these bones are replaced, others stay. Raises InputError where the mesh has other points.
+    """
+    refuse_edit_mode(obj)
+    if len(weights) != len(obj.data.vertices):
+        raise InputError(
+            f"'{obj.name}' has {len(obj.data.vertices)} points and the weights are for {len(weights)}; "
+            "make them again for the mesh as it is."
+        )
+    bpy.context.view_layer.update()
+    if obj.parent is None:
+        world = obj.matrix_world.copy()
+        obj.parent = armature
+        obj.matrix_parent_inverse = armature.matrix_world.inverted()
+        obj.matrix_world = world
+    for label in bones:
+        group = obj.vertex_groups.get(label)
+        if group is not None:
+            obj.vertex_groups.remove(group)
     for bone, label in enumerate(bones):
         group = obj.vertex_groups.new(name=label)
         for vertex in np.flatnonzero(weights[:, bone] > 0).tolist():
             group.add((vertex,), float(weights[vertex, bone]), "REPLACE")
-    modifier = obj.modifiers.new(names.ARMATURE_MODIFIER, "ARMATURE")
+    modifier = armature_modifier(obj) or obj.modifiers.new(names.ARMATURE_MODIFIER, "ARMATURE")
     modifier.object = armature
-    modifier.use_bone_envelopes = False
-    return obj
+    modifier.use_vertex_groups, modifier.use_bone_envelopes = True, False
+    # The weights were learned for Eq. 1, not for dual quaternions.
+    modifier.use_deform_preserve_volume = False
 
 
 def followed_armature(obj: bpy.types.Object) -> bpy.types.Object | None:

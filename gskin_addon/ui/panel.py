@@ -28,6 +28,7 @@ class GSKIN_PT_main(bpy.types.Panel):
         column.enabled = progress.state.job is None
         column.prop(settings, "splats", icon="OUTLINER_OB_POINTCLOUD")
         column.prop(settings, "armature", icon="OUTLINER_OB_ARMATURE")
+        column.prop(settings, "proxy", icon="OUTLINER_OB_MESH")
         if settings.splats is None or settings.armature is None:
             self._draw_chosen(context, column)
         column.separator()

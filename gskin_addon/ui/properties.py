@@ -35,6 +35,10 @@ def _is_armature(settings: GSkinSettings, obj: bpy.types.Object) -> bool:
     return obj.type == "ARMATURE" and _in_scene(obj, settings.id_data)
 
 
+def _is_proxy(settings: GSkinSettings, obj: bpy.types.Object) -> bool:
+    return obj.type == "MESH" and not is_splat_object(obj) and _in_scene(obj, settings.id_data)
+
+
 class GSkinSettings(bpy.types.PropertyGroup):
     splats: bpy.props.PointerProperty(
         name="Splats",
@@ -47,6 +51,13 @@ class GSkinSettings(bpy.types.PropertyGroup):
         description="The armature whose deform bones get the weights; empty: the selected one",
         type=bpy.types.Object,
         poll=_is_armature,
+    )
+    proxy: bpy.props.PointerProperty(
+        name="Proxy Mesh",
+        description="A mesh of the same object: weights are learned on it, and the splats follow it with rotation "
+        "and shear; empty: each splat has its own weights",
+        type=bpy.types.Object,
+        poll=_is_proxy,
     )
     preset: bpy.props.EnumProperty(
         name="Preset",
@@ -114,6 +125,12 @@ def chosen_armature(context: bpy.types.Context) -> bpy.types.Object | None:
         return followed
     armatures = [obj for obj in context.scene.objects if obj.type == "ARMATURE"]
     return armatures[0] if len(armatures) == 1 else None
+
+
+def proxy_mesh(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The proxy mesh of the settings, where it is still in the scene."""
+    settings = context.scene.gskin
+    return settings.proxy if settings.proxy is not None and _is_proxy(settings, settings.proxy) else None
 
 
 def _selected(context: bpy.types.Context, fits) -> bpy.types.Object | None:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from gskin_addon.core.worker import compute, supervisor
+from gskin_addon.core.worker.mesh_files import read_mesh
 
 
 def act(cloud: Any, skeleton: Any, settings: dict[str, Any], progress: Any, checkpoint: Path) -> Any:
@@ -58,7 +59,11 @@ def act(cloud: Any, skeleton: Any, settings: dict[str, Any], progress: Any, chec
     weights[:, 0] = 1.0
     report = {"settings": settings, "loss": np.float32(0.5), "curve": np.array([1.0, np.inf])}
     previews = {"rest": np.full((4, 6, 3), 0.5)}
-    return SimpleNamespace(weights=weights, report=report, previews=previews, mesh_weights=None)
+    on_mesh = None
+    if settings.get("mesh"):
+        on_mesh = np.zeros((len(read_mesh(checkpoint.parent / settings["mesh"])[0]), skeleton.count), np.float32)
+        on_mesh[:, 0] = 1.0
+    return SimpleNamespace(weights=weights, report=report, previews=previews, mesh_weights=on_mesh)
 
 
 def main() -> int:

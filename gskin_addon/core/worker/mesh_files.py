@@ -13,24 +13,34 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..rig.triangles import check_mesh
-from .files import write_arrays
+from .files import disk_error, write_arrays
 
 Array = NDArray[Any]
 
 
-def write_mesh(folder: Path, verts: Array, faces: Array) -> str:
-    """Write a mesh (V, 3), (F, 3) into a job's folder; returns the file's name, the job's setting `mesh`.
+def mesh_name(verts: Array, faces: Array) -> str:
+    """The name of a mesh's file in a job's folder, the job's setting `mesh`.
 
-    The name holds a digest of the mesh, so that a job with another mesh is another job.
+    It holds a digest of the mesh, so that a job with another mesh is another job.
+    """
+    digest = hashlib.blake2b(digest_size=8)
+    for array in _arrays(verts, faces).values():
+        digest.update(array.tobytes())
+    return f"mesh-{digest.hexdigest()}.npz"
+
+
+def write_mesh(folder: Path, verts: Array, faces: Array) -> str:
+    """Write a mesh (V, 3), (F, 3) into a job's folder; returns its `mesh_name`.
 
     Raises:
         GSkinError: the folder cannot be written.
     """
-    arrays = {"verts": np.ascontiguousarray(verts, np.float64), "faces": np.ascontiguousarray(faces, np.int64)}
-    digest = hashlib.blake2b(arrays["verts"].tobytes() + arrays["faces"].tobytes(), digest_size=8).hexdigest()
-    name = f"mesh-{digest}.npz"
-    folder.mkdir(parents=True, exist_ok=True)
-    write_arrays(folder / name, arrays)
+    name = mesh_name(verts, faces)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise disk_error(error, folder) from error
+    write_arrays(folder / name, _arrays(verts, faces))
     return name
 
 
@@ -56,6 +66,10 @@ def read_mesh(path: Path) -> tuple[Array, Array]:
     else:
         verts, faces = _read_other(path)
     return check_mesh(verts, faces, f"'{path}'")
+
+
+def _arrays(verts: Array, faces: Array) -> dict[str, Array]:
+    return {"verts": np.ascontiguousarray(verts, np.float64), "faces": np.ascontiguousarray(faces, np.int64)}
 
 
 def _read_other(path: Path) -> tuple[Array, Array]:

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Auto-Skin with a proxy mesh: what the worker is asked, and what the scene gets."""
+
+from __future__ import annotations
+
+import functools
+import sys
+
+import numpy as np
+import pytest
+import worker_jobs as jobs
+from proxy_meshes import tube
+
+bpy = pytest.importorskip("bpy")
+
+import gskin_addon
+from gskin_addon.core.errors import InputError
+from gskin_addon.core.worker.client import WorkerClient
+from gskin_addon.core.worker.contract import read_job
+from gskin_addon.core.worker.mesh_files import read_mesh
+from gskin_addon.operators import skin_job
+from gskin_addon.operators.skin_job import SkinJob
+from gskin_addon.scene.anchored import proxy_of
+from gskin_addon.scene.bone_frames import armature_of
+from gskin_addon.scene.splat_object import create_splat_object
+from gskin_addon.scene.weights import read_weights
+from gskin_addon.ui import preferences, progress
+
+
+@pytest.fixture
+def scene(tmp_path, monkeypatch):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    monkeypatch.setenv("GSKIN_PYTHON", sys.executable)
+    preferences._found.clear()
+    (tmp_path / "jobs").mkdir()
+    monkeypatch.setattr(skin_job, "jobs_folder", lambda: tmp_path / "jobs")
+    monkeypatch.setattr(skin_job, "WorkerClient", functools.partial(WorkerClient, program=jobs.FAKE))
+    gskin_addon.register()
+    armature = bpy.data.objects.new("Rig", bpy.data.armatures.new("Rig"))
+    bpy.context.scene.collection.objects.link(armature)
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.object.mode_set(mode="EDIT")
+    for name, z in (("lower", 0), ("upper", 1)):
+        bone = armature.data.edit_bones.new(name)
+        bone.head, bone.tail = (0, 0, z), (0, 0, z + 1)
+        bone.parent = armature.data.edit_bones.get("lower") if z else None
+    bpy.ops.object.mode_set(mode="OBJECT")
+    verts, faces = tube(bones=2, rings=9, sides=6)
+    mesh = bpy.data.meshes.new("Body")
+    mesh.from_pydata((verts[:, [1, 2, 0]] / 2).tolist(), [], faces.tolist())
+    body = bpy.data.objects.new("Body", mesh)
+    body.scale = (2, 2, 2)
+    bpy.context.scene.collection.objects.link(body)
+    settings = bpy.context.scene.gskin
+    settings.splats, settings.armature = create_splat_object(jobs.rod(200)[0], "Rod"), armature
+    settings.proxy = body
+    yield settings
+    progress.stop()
+    gskin_addon.unregister()
+
+
+def test_the_mesh_gets_weights_and_the_splats_follow_it(scene):
+    assert bpy.ops.gskin.auto_skin() == {"FINISHED"}
+    splats, body = scene.splats, scene.proxy
+    assert proxy_of(splats) == body
+    assert armature_of(body) == scene.armature
+    weights, bones = read_weights(body)
+    assert bones == ["lower", "upper"]
+    np.testing.assert_array_equal(weights, np.tile([1, 0], (54, 1)))
+    np.testing.assert_allclose(body.matrix_world, np.diag([2, 2, 2, 1]), atol=1e-6)
+    assert {group.name for group in splats.vertex_groups} == {"lower", "upper"}
+
+
+def test_the_job_holds_the_mesh_in_world_space(scene):
+    job = SkinJob.start(scene.splats, scene.armature, scene.as_job(), sys.executable, scene.proxy)
+    try:
+        asked = read_job(job.client.folder)
+        verts, faces = read_mesh(job.client.folder / asked.settings["mesh"])
+        assert len(faces) == 96
+        np.testing.assert_allclose(verts.max(axis=0)[2], 2, atol=1e-6)
+    finally:
+        job.client.stop()
+
+
+def test_a_mesh_changed_meanwhile_changes_nothing(scene):
+    job = SkinJob.start(scene.splats, scene.armature, scene.as_job(), sys.executable, scene.proxy)
+    scene.proxy.data.vertices.add(1)
+    while job.step():
+        pass
+    with pytest.raises(InputError, match="'Body' has 55 points and the weights are for 54"):
+        job.apply()
+    assert proxy_of(scene.splats) is None
+    assert not scene.splats.vertex_groups
