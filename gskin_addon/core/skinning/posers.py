@@ -74,12 +74,14 @@ class AnchoredPoser:
         self.neighbours = mesh_neighbours(len(verts), faces, NEIGHBOURS)
         self._quats = torch.from_numpy(cloud.quats)
         self._verts = torch.from_numpy(self.nodes)
-        self._faces, self._face = torch.from_numpy(faces), torch.from_numpy(anchors.face)
+        self._corners = _Rows(faces.ravel(), len(verts))
+        self._carriers = _Rows(anchors.face, len(faces))
+        self._hooks = _Rows(faces[anchors.face].ravel(), len(verts))
         self._bary = torch.as_tensor(anchors.bary, dtype=torch.float32)
         local = anchors.residual + anchors.beta[:, None] * np.array([0.0, 0.0, 1.0])
         self._local = torch.as_tensor(local, dtype=torch.float32)
         self._reach = torch.ones(len(faces)).index_put(
-            (self._face,), torch.as_tensor(anchors.reach, dtype=torch.float32)
+            (torch.from_numpy(anchors.face),), torch.as_tensor(anchors.reach, dtype=torch.float32)
         )
         coefficients = ring_coefficients(np.asarray(verts, np.float64), faces)
         self._coefficients = torch.as_tensor(coefficients, dtype=torch.float32)
@@ -89,15 +91,16 @@ class AnchoredPoser:
 
     def pose(self, weights: torch.Tensor, transforms: NDArray[Any]) -> Posed:
         posed, skinned = pose_splats(self._verts, torch.eye(1, 4).expand(len(self._verts), 4), weights, transforms)
-        corner = posed[:, self._faces]
+        poses = len(transforms)
+        corner = self._corners.take(_rows_first(posed)).view(-1, 3, poses, 3).permute(2, 0, 1, 3)
         frames, radius, double = _frames(corner)
         radius = torch.minimum(radius, self._reach * double.sqrt())
-        offset = (frames * radius[..., None, None])[:, self._face]
-        means = (offset * self._local[None, :, None, :]).sum(-1)
-        for k in range(3):
-            means = means + self._bary[:, k, None] * corner[:, self._face, k]
+        offset = self._carriers.take(_rows_first(frames * radius[..., None, None])).view(-1, poses, 3, 3)
+        hooks = self._hooks.take(_rows_first(posed)).view(-1, 3, poses, 3)
+        means = (offset * self._local[:, None, None, :]).sum(-1) + (hooks * self._bary[:, :, None, None]).sum(1)
+        means = means.transpose(0, 1).contiguous()
         vertex_quats = self._vertex_quats(corner, frames[..., 2], skinned)
-        turned = vertex_quats[:, self._faces[self._face]]  # (P, N, 3, 4)
+        turned = self._hooks.take(_rows_first(vertex_quats)).view(-1, 3, poses, 4).permute(2, 0, 1, 3)
         with torch.no_grad():
             sign = torch.where((turned * turned[:, :, :1]).sum(-1, keepdim=True) < 0, -1.0, 1.0)
         blend = (turned * sign * self._bary[None, :, :, None]).sum(2)
@@ -106,14 +109,69 @@ class AnchoredPoser:
 
     def _vertex_quats(self, corner: torch.Tensor, normal: torch.Tensor, skinned: torch.Tensor) -> torch.Tensor:
         """Quaternions (P, V, 4) of R_v; where a ring is turned inside out, those of the bones (P, V, 4)."""
-        poses, count = corner.shape[0], len(self._verts)
+        poses = len(corner)
         to_next, to_last = corner.roll(-1, 2) - corner, corner.roll(1, 2) - corner
         seen = torch.stack([to_next, to_last, normal[:, :, None].expand_as(to_next)], dim=3)
-        added = torch.einsum("pfkca,fkcb->pfkab", seen, self._coefficients).reshape(poses, -1, 3, 3)
-        maps = corner.new_zeros(poses, count, 3, 3).index_add(1, self._faces.reshape(-1), added)
+        added = torch.einsum("pfkca,fkcb->fkpab", seen, self._coefficients)
+        maps = self._corners.add(added.reshape(-1, 9 * poses)).view(-1, poses, 3, 3).transpose(0, 1)
         bad = (torch.linalg.det(maps.detach()) < _SMALLEST) | self._unknown
         maps = torch.where(bad[..., None, None], torch.eye(3), maps)
         return torch.where(bad[..., None], skinned, matrix_quats(polar_rotation(maps)))
+
+
+class _Rows:
+    """Rows of a matrix by a fixed index, and sums into them; torch's own indexing is ten times slower backward."""
+
+    def __init__(self, index: NDArray[Any], count: int) -> None:
+        """index (M,) into `count` rows."""
+        from scipy import sparse
+
+        self.index = torch.from_numpy(np.ascontiguousarray(index, np.int64))
+        ones = np.ones(len(index), np.float32)
+        matrix = sparse.csr_matrix((ones, (index, np.arange(len(index)))), shape=(count, len(index)))
+        self.scatter = torch.sparse_csr_tensor(
+            torch.from_numpy(matrix.indptr.astype(np.int64)),
+            torch.from_numpy(matrix.indices.astype(np.int64)),
+            torch.from_numpy(matrix.data),
+            size=matrix.shape,
+        )
+
+    def take(self, values: torch.Tensor) -> torch.Tensor:
+        """values (count, k) -> (M, k)."""
+        result: torch.Tensor = _Take.apply(values, self)  # type: ignore[no-untyped-call]
+        return result
+
+    def add(self, values: torch.Tensor) -> torch.Tensor:
+        """values (M, k) -> sums (count, k)."""
+        result: torch.Tensor = _Add.apply(values, self)  # type: ignore[no-untyped-call]
+        return result
+
+
+class _Take(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, values, rows):  # type: ignore[no-untyped-def]
+        ctx.rows = rows
+        return values[rows.index]
+
+    @staticmethod
+    def backward(ctx, grad):  # type: ignore[no-untyped-def]
+        return ctx.rows.scatter.to(grad.dtype) @ grad, None
+
+
+class _Add(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, values, rows):  # type: ignore[no-untyped-def]
+        ctx.rows = rows
+        return rows.scatter.to(values.dtype) @ values
+
+    @staticmethod
+    def backward(ctx, grad):  # type: ignore[no-untyped-def]
+        return grad[ctx.rows.index], None
+
+
+def _rows_first(values: torch.Tensor) -> torch.Tensor:
+    """(P, M, ...) -> (M, P x ...)."""
+    return values.transpose(0, 1).reshape(values.shape[1], -1)
 
 
 def polar_rotation(maps: torch.Tensor) -> torch.Tensor:
