@@ -42,6 +42,8 @@ def create(context: GuidanceContext) -> Oracle:
             weights = file["weights"].astype(np.float32)
     except (OSError, KeyError, ValueError) as error:
         raise InputError(f"'{path}' does not hold an array 'weights' ({error}); write it as .npz.") from None
+    if context.index is not None and len(weights) > int(context.index.max()):
+        weights = weights[context.index]
     if weights.shape != context.initial.shape:
         raise InputError(
             f"'{path}' has weights {weights.shape}, but there are {context.initial.shape[0]} splats and "

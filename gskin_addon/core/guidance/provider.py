@@ -20,13 +20,15 @@ class GuidanceContext:
     """One object, in unit size.
 
     cloud, skeleton: in the same space; initial (N, B): the weights that learning starts from;
-    distances (N, B): from splats to bones through the body; options: the provider's own settings.
+    distances (N, B): from splats to bones through the body; index (N,): which of the job's splats these are,
+    all of them in their order when left out; options: the provider's own settings.
     """
 
     cloud: SplatCloud
     skeleton: Skeleton
     initial: NDArray[np.float32]
     distances: NDArray[np.float32]
+    index: NDArray[np.int64] | None = None
     background: tuple[float, float, float] = (1.0, 1.0, 1.0)
     options: Mapping[str, Any] = field(default_factory=dict)
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ..errors import InputError
+from .fields import DEFAULT_FIELD
 
 
 @dataclass(frozen=True)
@@ -14,6 +15,7 @@ class Preset:
 
     stages: (image size in pixels, iterations), coarse to fine; batch: images per iteration.
     poses_per_view: guidance images for each of the four views of the paper.
+    field: a name in WEIGHT_FIELDS; learning_rate: of its logits.
     """
 
     description: str
@@ -21,6 +23,7 @@ class Preset:
     stages: tuple[tuple[int, int], ...]
     batch: int
     learning_rate: float = 0.1
+    field: str = DEFAULT_FIELD
 
     @property
     def iterations(self) -> int:

@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..render.cpu import morton_order
 from ..splats.cloud import SplatCloud
-from .field import LOG_FLOOR
+from .fields.base import LOG_FLOOR
 
 LIMIT = 150_000
 NEIGHBOURS = 4
@@ -35,13 +36,14 @@ class SplatSubset:
         What was learned is a change of logits that varies smoothly in space, so every other splat adds the
         mean change of its nearest learned neighbours to the logits of its own initial weights.
         """
+        out = np.empty_like(initial_whole)
+        out[self.index] = learned
         if len(self.index) == self.whole.count:
-            return learned
+            return out
         from scipy.spatial import cKDTree
 
         change = np.log(np.maximum(learned, 1e-8)) - np.log(np.maximum(initial, LOG_FLOOR))
         tree = cKDTree(self.cloud.means)
-        out = np.empty_like(initial_whole)
         for first in range(0, self.whole.count, _CHUNK):
             part = slice(first, first + _CHUNK)
             distance, near = tree.query(self.whole.means[part], NEIGHBOURS)
@@ -57,11 +59,17 @@ class SplatSubset:
         return out
 
 
-def choose_subset(cloud: SplatCloud, seed: int, limit: int = LIMIT) -> SplatSubset:
-    """All splats, or a random `limit` of them, enlarged so that they still cover the surface."""
-    if cloud.count <= limit:
-        return SplatSubset(np.arange(cloud.count), cloud, cloud)
-    index = np.sort(np.random.default_rng(seed).choice(cloud.count, limit, replace=False))
+def choose_subset(cloud: SplatCloud, seed: int, limit: int | None = None) -> SplatSubset:
+    """All splats, or a random `limit` (`LIMIT`) of them, enlarged so that they still cover the surface.
+
+    They come along a Morton curve: what is near in space is near in memory, which the kernels like.
+    """
+    limit = LIMIT if limit is None else limit
+    index = np.arange(cloud.count)
+    grow = 1.0
+    if cloud.count > limit:
+        index = np.random.default_rng(seed).choice(cloud.count, limit, replace=False)
+        grow = np.sqrt(cloud.count / limit)
+    index = index[morton_order(cloud.means[index])]
     part = cloud.select(index)
-    grown = part.scales * np.float32(np.sqrt(cloud.count / limit))
-    return SplatSubset(index, replace(part, scales=grown), cloud)
+    return SplatSubset(index, replace(part, scales=part.scales * np.float32(grow)), cloud)

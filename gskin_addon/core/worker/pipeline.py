@@ -22,7 +22,7 @@ from ..render.rasterizer import render_cloud
 from ..rig.lbs import sparsify
 from ..rig.skeleton import Skeleton
 from ..skinning.extent import unit_frame
-from ..skinning.field import SparsePyramid
+from ..skinning.fields import create_field
 from ..skinning.geodesic import body_distances
 from ..skinning.initial import initial_weights
 from ..skinning.optimise import LossWeights, Optimiser, Target
@@ -31,7 +31,8 @@ from ..skinning.subset import choose_subset
 from ..splats.cloud import SplatCloud
 from .previews import preview_images
 from .progress import Progress
-from .settings import FRONTS, JobSettings
+from .proxy import Proxy
+from .settings import FRONTS, PRESET_FIELD, JobSettings
 
 GUIDANCE_SIZE = 512
 CHECKPOINT_SECONDS = 5.0
@@ -41,11 +42,13 @@ INITIAL_END, GUIDANCE_END, OPTIMISE_END = 0.08, 0.2, 0.98
 
 @dataclass(frozen=True)
 class Outcome:
-    """weights (N, B) float32, rows sum to 1; report: numbers and words; previews: images (H, W, 3) in [0, 1]."""
+    """weights (N, B) float32, rows sum to 1; report: numbers and words; previews: images (H, W, 3) in [0, 1];
+    mesh_weights (V, B): of the proxy mesh's vertices, where the job has one."""
 
     weights: NDArray[np.float32]
     report: dict[str, Any]
     previews: dict[str, NDArray[Any]]
+    mesh_weights: NDArray[np.float32] | None = None
 
 
 def run(
@@ -57,50 +60,67 @@ def run(
 ) -> Outcome:
     """Skin `cloud` to `skeleton` (same world space, any unit).
 
-    `checkpoint` is a folder in which the optimiser leaves its state every few seconds; a run that finds one
-    goes on from there and ends with the same weights as a run that was never stopped.
+    `checkpoint` is a folder, inside the job's, in which the optimiser leaves its state every few seconds; a run
+    that finds one goes on from there and ends with the same weights as a run that was never stopped.
 
     Raises:
         InputError: settings that do not exist or do not fit. Cancelled: `progress` said so.
     """
     chosen = JobSettings.parse(settings)
     preset = preset_by_name(chosen.preset)
+    field_name = preset.field if chosen.field == PRESET_FIELD else chosen.field
     clock = _Clock()
     progress("initial", 0.0, {}, "Preparing the splats")
     whole, skeleton = _to_unit_size(cloud, skeleton)
     subset = choose_subset(whole, chosen.seed)
+    proxy = Proxy.load(checkpoint.parent / chosen.mesh, cloud) if chosen.mesh else None
     cameras = paper_views(*percentile_bounds(whole.means), GUIDANCE_SIZE, front=FRONTS[chosen.front])
 
     progress("initial", 0.01, {}, "Initial weights")
     masks = np.stack([render_cloud(subset.cloud, camera)[1] > 0.5 for camera in cameras])
-    initial_whole = initial_weights(chosen.init, whole, skeleton, masks, cameras)
+    if proxy is None:
+        nodes, initial_whole = None, initial_weights(chosen.init, whole, skeleton, masks, cameras)
+    else:
+        nodes = proxy.initial(chosen.init, subset.cloud, skeleton, masks, cameras)
+        initial_whole = proxy.spread(nodes)
     initial = initial_whole[subset.index]
     progress("initial", 0.04, {}, "Distances through the body")
     distances = body_distances(subset.cloud, skeleton)
     clock.lap("initial")
 
     progress("guidance", INITIAL_END, {}, "Guidance images")
-    context = GuidanceContext(subset.cloud, skeleton, initial, distances, options=chosen.options)
+    context = GuidanceContext(
+        subset.cloud, skeleton, initial, distances, index=subset.index, options=chosen.options
+    )
     rng = np.random.default_rng(chosen.seed)
     signals = make_signals(skeleton, cameras, preset.poses_per_view, rng)
     targets = _make_guidance(create_provider(chosen.guidance, context), signals, progress)
     clock.lap("guidance")
 
-    field = SparsePyramid(subset.cloud.means, initial)
+    if proxy is None or nodes is None:
+        poser, field = None, create_field(field_name, subset.cloud.means, initial, chosen.field_options)
+    else:
+        poser, field = proxy.poser(subset), create_field(field_name, proxy.verts, nodes, chosen.field_options)
     optimiser = Optimiser(
-        subset.cloud, skeleton, field, targets, preset, losses=LossWeights(), seed=chosen.seed
+        subset.cloud, skeleton, field, targets, preset, poser=poser, losses=LossWeights(), seed=chosen.seed
     )
     losses = _optimise(optimiser, preset.iterations, progress, checkpoint)
     clock.lap("optimise")
 
     progress("finish", OPTIMISE_END, {}, "Weights of all splats")
-    weights = subset.spread(optimiser.weights(), initial, initial_whole)
+    learned, mesh_weights = optimiser.weights(), None
+    if proxy is None:
+        weights = subset.spread(learned, initial, initial_whole)
+    else:
+        weights, mesh_weights = proxy.spread(learned), learned
     if chosen.max_influences:
         weights = sparsify(weights, chosen.max_influences)
+        mesh_weights = None if mesh_weights is None else sparsify(mesh_weights, chosen.max_influences)
     previews = preview_images(whole, skeleton, initial_whole, weights, cameras, signals, targets)
     clock.lap("finish")
     report = {
-        "settings": {**chosen.__dict__, "options": dict(chosen.options)},
+        "settings": chosen.as_dict(),
+        "field": field_name,
         "splats": whole.count,
         "splats_optimised": subset.cloud.count,
         "bones": skeleton.count,
@@ -113,7 +133,9 @@ def run(
             name for name, most in zip(skeleton.names, weights.max(axis=0), strict=True) if most < 0.01
         ],
     }
-    return Outcome(weights, report, previews)
+    if proxy is not None:
+        report["mesh"] = proxy.summary()
+    return Outcome(weights, report, previews, mesh_weights)
 
 
 class _Clock:

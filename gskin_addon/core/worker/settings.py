@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass
 from typing import Any
 
 from ..errors import InputError
 from ..guidance import DEFAULT_GUIDANCE, GUIDANCE
+from ..skinning.fields import WEIGHT_FIELDS
 from ..skinning.initial import INITIAL_WEIGHTS
 from ..skinning.presets import DEFAULT_PRESET, PRESETS
 
@@ -20,13 +22,19 @@ FRONTS = {
 }
 """The side of the object on which the front camera stands, in Blender's world."""
 
+PRESET_FIELD = "preset"
+"""Value of `field` for the weight field that the preset names."""
+
 
 @dataclass(frozen=True)
 class JobSettings:
     """Settings of job.json.
 
     preset, guidance, init: names in their registries; max_influences: bones per splat in the result, 0 for
-    no limit; seed: of all randomness; front: a key of FRONTS; options: the guidance provider's own.
+    no limit; seed: of all randomness; front: a key of FRONTS; options: the guidance provider's own;
+    field: a name in WEIGHT_FIELDS or PRESET_FIELD; field_options: the weight field's own; mesh: file of a
+    proxy mesh in the same world space, whose vertices get the weights and carry the splats, a path or a name in
+    the job's folder; empty for none.
     """
 
     preset: str = DEFAULT_PRESET
@@ -35,7 +43,10 @@ class JobSettings:
     max_influences: int = 4
     seed: int = 0
     front: str = "-y"
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    field: str = PRESET_FIELD
+    field_options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    mesh: str = ""
 
     @classmethod
     def parse(cls, values: Mapping[str, Any]) -> JobSettings:
@@ -44,7 +55,7 @@ class JobSettings:
         Raises:
             InputError: an unknown name or a value that is not allowed.
         """
-        known = {f.name for f in fields(cls)}
+        known = {f.name for f in dataclasses.fields(cls)}
         unknown = sorted(set(values) - known)
         if unknown:
             raise InputError(
@@ -56,12 +67,21 @@ class JobSettings:
             ("guidance", GUIDANCE),
             ("init", INITIAL_WEIGHTS),
             ("front", FRONTS),
+            ("field", (PRESET_FIELD, *WEIGHT_FIELDS)),
         ):
             value = getattr(settings, name)
             if value not in choices:
                 raise InputError(f"The job's {name} is '{value}'; choose one of {', '.join(choices)}.")
+        if not isinstance(settings.mesh, str):
+            raise InputError(f"The job's mesh is {settings.mesh!r}; it must be the path of a mesh file.")
         for name in ("max_influences", "seed"):
             value = getattr(settings, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < 0:
                 raise InputError(f"The job's {name} is {value!r}; it must be a whole number from 0 up.")
         return settings
+
+    def as_dict(self) -> dict[str, Any]:
+        """The settings as plain values, for the report."""
+        return {
+            name: dict(value) if isinstance(value, Mapping) else value for name, value in vars(self).items()
+        }

@@ -10,7 +10,7 @@ from gskin_addon.core.guidance.control import make_signals
 from gskin_addon.core.guidance.oracle import Oracle
 from gskin_addon.core.guidance.provider import GuidanceContext
 from gskin_addon.core.render.camera import paper_views
-from gskin_addon.core.skinning.field import SparsePyramid
+from gskin_addon.core.skinning.fields.pyramid import SparsePyramid
 from gskin_addon.core.skinning.optimise import Optimiser, Target
 from gskin_addon.core.skinning.presets import PRESETS
 from tests.helpers.limb import make_limb

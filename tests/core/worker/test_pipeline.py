@@ -7,11 +7,14 @@ import numpy as np
 import pytest
 
 from gskin_addon.core.errors import Cancelled, InputError
+from gskin_addon.core.render.camera import paper_views
+from gskin_addon.core.render.rasterizer import render_cloud
 from gskin_addon.core.rig.kinematics import pose_transforms
 from gskin_addon.core.rig.lbs import skin_points
 from gskin_addon.core.rig.poses import random_poses
 from gskin_addon.core.rig.segments import bone_segments
-from gskin_addon.core.skinning import presets
+from gskin_addon.core.skinning import presets, subset
+from gskin_addon.core.skinning.initial import initial_weights
 from gskin_addon.core.worker import pipeline
 from gskin_addon.core.worker.pipeline import run
 from tests.helpers.limb import make_limb
@@ -47,6 +50,22 @@ def test_default_guidance_improves_on_the_initial_weights(tmp_path):
     assert report["losses"][-1]["render"] < report["losses"][0]["render"]
     assert set(start.previews) == {"weights", "guidance"}
     assert position_error(limb, start.weights) < 0.05
+
+
+@pytest.mark.parametrize("limit", [10_000, 700])
+def test_the_oracle_keeps_the_order_of_the_splats(tmp_path, monkeypatch, limit):
+    """Splats are reordered, and some left out, inside a job; known weights must follow."""
+    monkeypatch.setattr(subset, "LIMIT", limit)
+    monkeypatch.setitem(presets.PRESETS, "draft", replace(TINY, stages=((128, 40),)))
+    limb = make_limb(1500)
+    np.savez(tmp_path / "truth.npz", weights=limb.weights)
+    options = {"oracle_weights": str(tmp_path / "truth.npz")}
+    settings = {"preset": "draft", "guidance": "oracle", "options": options}
+    learned = run(limb.cloud, limb.skeleton, settings, silent, tmp_path).weights
+    cameras = paper_views(*limb.cloud.bounds(), 128)
+    masks = np.stack([render_cloud(limb.cloud, camera)[1] > 0.5 for camera in cameras])
+    start = initial_weights("visibility", limb.cloud, limb.skeleton, masks, cameras)
+    assert position_error(limb, learned) < 0.5 * position_error(limb, start)
 
 
 def test_result_does_not_depend_on_place_and_unit(tmp_path):

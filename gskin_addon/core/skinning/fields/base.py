@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What all weight fields have in common."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+LOG_FLOOR = 1e-4
+"""Least initial weight. Eq. (7) gives far bones about 1e-6; their logits must stay within reach of Adam."""
+
+
+class WeightField(torch.nn.Module):
+    """weights = softmax(log of the initial weights + what was learned), at the N splats it was made for.
+
+    rate: Adam's learning rate as a factor of the preset's, which is meant for parameters that are logits.
+    """
+
+    rate: float = 1.0
+
+    def __init__(self, initial: NDArray[Any]) -> None:
+        """initial (N, B) weights with rows that sum to 1."""
+        super().__init__()
+        floor = np.maximum(np.asarray(initial, np.float64), LOG_FLOOR)
+        prior = np.log(floor / floor.sum(1, keepdims=True)).astype(np.float32)
+        self.register_buffer("_prior", torch.from_numpy(prior), persistent=False)
+        self._prior: torch.Tensor
+
+    @abstractmethod
+    def residual(self) -> torch.Tensor:
+        """Learned logits (N, B); zeros (or constant rows) leave the initial weights as they are."""
+
+    def forward(self) -> torch.Tensor:
+        """Weights (N, B) of the splats, rows sum to 1."""
+        return torch.softmax(self._prior + self.residual(), dim=1)
