@@ -17,7 +17,7 @@ class SparseProduct(torch.nn.Module):
     """matrix @ dense for a constant sparse matrix (rows, columns) and dense (columns, B).
 
     Both directions are sums of gathered rows in a fixed order, so equal runs give equal bits, and
-    `embedding_bag` has tuned kernels for that on the CPU and on CUDA: 2 to 8 times less work than torch's
+    `embedding_bag` has tuned kernels for that on the CPU and on CUDA: about half the time of torch's
     sparse CSR product (`benchmarks/bench_fields.py`).
     """
 
