@@ -14,6 +14,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -80,7 +81,7 @@ class DenseDecoder(torch.nn.Module):
         super().__init__()
         widths = [1024, *decoder_widths(resolution), bones]
         layers: list[torch.nn.Module] = []
-        for inputs, outputs in zip(widths[:-1], widths[1:], strict=True):
+        for inputs, outputs in pairwise(widths):
             layers += [torch.nn.ConvTranspose3d(inputs, outputs, 4, 2, 1), torch.nn.LeakyReLU(0.2)]
         self._convolve = torch.nn.Sequential(*layers[:-1])
         self._expand = torch.nn.Sequential(torch.nn.Linear(256, 1024), torch.nn.LeakyReLU(0.2))

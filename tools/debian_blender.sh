@@ -70,7 +70,8 @@ run() {
       mkdir -p "$folder$1" && mount --rbind "$1" "$folder$1"
       count=$((count - 1)); shift
     done
-    exec chroot "$folder" /usr/bin/env HOME=/root PATH=/usr/sbin:/usr/bin:/sbin:/bin "$@"
+    # Not exec: xvfb-run waits for a signal that the first process of a namespace never gets.
+    chroot "$folder" /usr/bin/env HOME=/root PATH=/usr/sbin:/usr/bin:/sbin:/bin "$@" || exit $?
   ' bash "$folder" "${#bind[@]}" "${bind[@]}" "$@"
 }
 

@@ -21,9 +21,8 @@ def random_poses(limb, count, seed=0):
 def test_torch_posing_equals_numpy_skinning():
     limb = make_limb(400)
     transforms = random_poses(limb, 3)
-    means, quats = pose_splats(
-        *(torch.from_numpy(a.astype(np.float64)) for a in (limb.cloud.means, limb.cloud.quats, limb.weights)), transforms
-    )
+    rest = (limb.cloud.means, limb.cloud.quats, limb.weights)
+    means, quats = pose_splats(*(torch.from_numpy(a.astype(np.float64)) for a in rest), transforms)
     np.testing.assert_allclose(means, skin_points(limb.cloud.means.astype(float), limb.weights, transforms), atol=1e-5)
     for pose in range(3):
         expected = quat_multiply(skin_quats(limb.weights, transforms[pose]), limb.cloud.quats)
