@@ -10,7 +10,8 @@ set -euo pipefail
 
 PACKAGES="blender python3-numpy python3-cattr python3-requests python3-zstandard
   libgl1-mesa-dri libegl1 libgl1 xvfb xauth xdotool imagemagick x11-utils procps"
-MIRROR="${GSKIN_DEBIAN_MIRROR:-http://deb.debian.org/debian}"
+# The mirror this machine's own apt uses, else debootstrap's default.
+MIRROR="${GSKIN_DEBIAN_MIRROR:-$(grep -rhoE "https?://[^ ]+/debian/?( |$)" /etc/apt/sources.list /etc/apt/sources.list.d 2>/dev/null | head -1 | tr -d " " || true)}"
 
 say() { echo "debian_blender: $*" >&2; }
 
@@ -32,7 +33,7 @@ setup() {
   if [ ! -f "$folder/.gskin-base" ]; then
     say "making Debian $suite in $folder"
     rm -rf --one-file-system "$folder" && mkdir -p "$folder"
-    debootstrap --variant=minbase "$suite" "$folder" "$MIRROR" >"$folder.log" 2>&1 ||
+    debootstrap --variant=minbase "$suite" "$folder" ${MIRROR:+"$MIRROR"} >"$folder.log" 2>&1 ||
       { tail -5 "$folder.log" >&2; say "debootstrap failed; the whole log is $folder.log."; exit 1; }
     touch "$folder/.gskin-base"
   fi
