@@ -93,11 +93,14 @@ class GSKIN_FH_splats(bpy.types.FileHandler):
 
 
 def _show_colors(context: bpy.types.Context) -> None:
-    """Let the 3D views of this screen show colour attributes in Solid mode, where they would all be grey."""
+    """Let the 3D views of this screen show colours as captured in Solid mode, where splats would all be grey.
+
+    A view whose colours were chosen is left alone. Lamps would shade splats a second time, so the light is flat.
+    """
     for area in context.screen.areas if context.screen else ():
         for space in area.spaces:
             if space.type == "VIEW_3D" and space.shading.color_type == "MATERIAL":
-                space.shading.color_type = "VERTEX"
+                space.shading.color_type, space.shading.light = "VERTEX", "FLAT"
 
 
 def _draw_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:

@@ -20,8 +20,9 @@ from .node_builder import Tree, find_group, geometry_group, get_input, set_input
 VERSION = 1
 
 VIEWPORT_LIMIT = 100_000
-VIEWPORT_SIGMAS = 1.2
-"""Radius of a splat drawn solid: about where a Gaussian stops to hide what is behind it."""
+VIEWPORT_SIGMAS = 1.6
+"""Radius of a splat drawn solid. A Gaussian stops to hide what is behind it at about 1.2 standard deviations; an
+octahedron needs more to cover as much, and with less a surface shows holes."""
 
 _INPUTS: list[tuple[str, str, dict[str, Any]]] = [
     (

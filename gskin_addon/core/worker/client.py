@@ -58,7 +58,7 @@ class WorkerClient:
     The worker dies with this process, and with the thread that called `start` (Linux).
     """
 
-    KILL_AFTER = 0.8
+    KILL_AFTER = 0.5
     """Seconds after `cancel` at which a worker that is still there is killed."""
 
     def __init__(self, python: str | Path, folder: str | Path, program: Path = PROGRAM) -> None:
