@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from ..core.guidance import DEFAULT_GUIDANCE, GUIDANCE
+from ..core.skinning.fields import WEIGHT_FIELDS
 from ..core.skinning.initial import INITIAL_WEIGHTS
 from ..core.skinning.presets import DEFAULT_PRESET, PRESETS
 from ..core.splats.axes import UP_AXES
-from ..core.worker.settings import FRONTS
+from ..core.worker.settings import FRONTS, PRESET_FIELD
 
 VERSION = "0.1.0"
 VIEWS = ("front", "back", "front-left", "front-right", "left", "right")
@@ -63,6 +64,17 @@ def _rig(commands: Any) -> None:
     rig.add_argument("--mesh-up", choices=UP_AXES, help="that mesh's up axis (default: y for .glb and .gltf, else z)")
     rig.add_argument("--ply-up", choices=UP_AXES, default="z", help="the PLY's up axis (default: Blender's, z)")
     rig.add_argument("--drop-invalid", action="store_true", help="leave out splats with NaN or infinite values")
+    rig.add_argument("--drop-strays", action="store_true", help="leave out splats off the body and faint giants")
+    rig.add_argument(
+        "--max-aspect", type=_aspect, default=0.0, metavar="R", help="widen needles longer than R times their width"
+    )
+    rig.add_argument("--isotropic", action="store_true", help="make every splat a ball of the same area")
+    rig.add_argument(
+        "--field",
+        choices=(PRESET_FIELD, *WEIGHT_FIELDS),
+        default=PRESET_FIELD,
+        help="what the weights are a function of (default: as the preset says)",
+    )
     rig.add_argument(
         "--init",
         choices=tuple(INITIAL_WEIGHTS),
@@ -185,6 +197,13 @@ def _positive(text: str) -> int:
     return value
 
 
+def _aspect(text: str) -> float:
+    value = float(text)
+    if not 1.0 <= value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{value} is not at least 1")
+    return value
+
+
 def _seed(text: str) -> int:
     value = int(text)
     if not 0 <= value < 2**32:
@@ -201,3 +220,4 @@ def _unit(text: str) -> float:
 
 # argparse names the converter in its message
 _positive.__name__, _seed.__name__, _unit.__name__ = "whole number", "whole number", "number"
+_aspect.__name__ = "number"

@@ -15,6 +15,7 @@ from ..core.errors import InputError
 from ..core.rig.lbs import sparsify
 from ..core.splats.axes import rotate_cloud, up_rotation
 from ..core.splats.cloud import SplatCloud
+from ..core.splats.hygiene import clamp_aspect, find_faint_giants, find_strays, isotropic
 from ..core.splats.ply import read_ply
 from ..core.worker.client import ProgressEvent, WorkerClient
 from ..core.worker.contract import Result, write_job, write_weights
@@ -44,6 +45,7 @@ def run(options: argparse.Namespace) -> None:
             "(pip install 'gskin_addon[worker]' makes one)."
         )
     cloud = read_splats(options.splats, options.ply_up, options.drop_invalid)
+    cloud = clean(cloud, options.drop_strays, options.max_aspect, options.isotropic)
     mesh = None if options.mesh is None else read_proxy(options.mesh, options.mesh_up)
 
     require_bpy()
@@ -57,6 +59,7 @@ def run(options: argparse.Namespace) -> None:
         "preset": options.preset,
         "init": options.init,
         "guidance": options.guidance,
+        "field": options.field,
         "max_influences": options.max_influences,
         "seed": options.seed,
         "front": options.front,
@@ -107,6 +110,18 @@ def read_proxy(path: Path, up: str | None) -> tuple[Any, Any]:
     verts, faces = read_mesh(path)
     up = up or ("y" if path.suffix.lower() in (".glb", ".gltf") else "z")
     return verts @ up_rotation(up).T, faces
+
+
+def clean(cloud: SplatCloud, drop_strays: bool, max_aspect: float, balls: bool) -> SplatCloud:
+    """The splats without what deforms badly; says how many were changed."""
+    if drop_strays:
+        strays, giants = find_strays(cloud), find_faint_giants(cloud)
+        say(f"{strays.sum():,} strays and {giants.sum():,} faint giants of {cloud.count:,} splats were left out.")
+        cloud = cloud.select(~(strays | giants))
+    if max_aspect:
+        cloud, needles = clamp_aspect(cloud, max_aspect)
+        say(f"{needles.sum():,} needles of {cloud.count:,} splats were widened.")
+    return isotropic(cloud) if balls else cloud
 
 
 def parse_guidance_options(given: list[str]) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import io
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +50,8 @@ def one_sentence(text: str) -> bool:
         ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--guidance", "magic"],
         ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--max-influences", "0"],
         ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--seed", "-1"],
+        ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--max-aspect", "0.5"],
+        ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--field", "grid"],
         ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--arm", "x"],
         ["render", "a.ply", "--out", "o.png", "--background", "1", "2", "0"],
         ["render", "a.ply", "--out", "o.png", "--size", "many"],
@@ -191,3 +194,19 @@ def test_progress_on_lines_bar_and_json():
     assert '"seconds_left": 65.0' in shown["json"]
     assert shown["none"] == ""
     assert describe(events[1]) == "  2 %  initial, 1:05 left"
+
+
+def test_bad_splats_are_left_out_and_counted(capfd):
+    cloud = jobs.rod(300)[0]
+    means, scales = cloud.means.copy(), cloud.scales.copy()
+    means[7] += (5, 0, 0)
+    scales[:, :] = (0.01, 0.02, 0.001)
+    scales[9, 0] = 0.2
+    bad = replace(cloud, means=means, scales=scales)
+    assert rig.clean(bad, False, 0.0, False) is bad
+    tidy = rig.clean(bad, True, 4.0, True)
+    assert tidy.count == 299
+    assert np.ptp(tidy.scales, axis=1).max() == 0
+    said = capfd.readouterr()
+    assert "1 strays and 0 faint giants of 300" in said.out + said.err
+    assert "1 needles of 299" in said.out + said.err

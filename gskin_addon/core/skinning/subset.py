@@ -44,8 +44,9 @@ class SplatSubset:
 
         change = np.log(np.maximum(learned, 1e-8)) - np.log(np.maximum(initial, LOG_FLOOR))
         tree = cKDTree(self.cloud.means)
-        for first in range(0, self.whole.count, _CHUNK):
-            part = slice(first, first + _CHUNK)
+        rest = np.setdiff1d(np.arange(self.whole.count), self.index)
+        for first in range(0, len(rest), _CHUNK):
+            part = rest[first : first + _CHUNK]
             distance, near = tree.query(self.whole.means[part], NEIGHBOURS)
             share = 1.0 / np.maximum(distance, 1e-9)
             share = (share / share.sum(1, keepdims=True)).astype(np.float32)
@@ -55,21 +56,38 @@ class SplatSubset:
             logits -= logits.max(axis=1, keepdims=True)
             weights = np.exp(logits)
             out[part] = weights / weights.sum(axis=1, keepdims=True)
-        out[self.index] = learned
         return out
 
 
-def choose_subset(cloud: SplatCloud, seed: int, limit: int | None = None) -> SplatSubset:
-    """All splats, or a random `limit` (`LIMIT`) of them, enlarged so that they still cover the surface.
+def follow_nearest(
+    means: NDArray[np.float32], weights: NDArray[np.float32], ignored: NDArray[np.bool_]
+) -> NDArray[np.float32]:
+    """Weights (N, B) in which the `ignored` splats (N,) move as the nearest of the others does."""
+    if not ignored.any():
+        return weights
+    from scipy.spatial import cKDTree
+
+    others = np.flatnonzero(~ignored)
+    near = others[cKDTree(means[others]).query(means[ignored])[1]]
+    out = weights.copy()
+    out[ignored] = weights[near]
+    return out
+
+
+def choose_subset(
+    cloud: SplatCloud, seed: int, limit: int | None = None, *, ignored: NDArray[np.bool_] | None = None
+) -> SplatSubset:
+    """All splats but the `ignored` (N,), or a random `limit` (`LIMIT`) of them, enlarged so that they still
+    cover the surface.
 
     They come along a Morton curve: what is near in space is near in memory, which the kernels like.
     """
     limit = LIMIT if limit is None else limit
-    index = np.arange(cloud.count)
+    index = np.arange(cloud.count) if ignored is None else np.flatnonzero(~ignored)
     grow = 1.0
-    if cloud.count > limit:
-        index = np.random.default_rng(seed).choice(cloud.count, limit, replace=False)
-        grow = np.sqrt(cloud.count / limit)
+    if len(index) > limit:
+        grow = np.sqrt(len(index) / limit)
+        index = np.random.default_rng(seed).choice(index, limit, replace=False)
     index = index[morton_order(cloud.means[index])]
     part = cloud.select(index)
     return SplatSubset(index, replace(part, scales=part.scales * np.float32(grow)), cloud)

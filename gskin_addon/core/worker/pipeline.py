@@ -27,8 +27,9 @@ from ..skinning.geodesic import body_distances
 from ..skinning.initial import initial_weights
 from ..skinning.optimise import LossWeights, Optimiser, Target
 from ..skinning.presets import preset_by_name
-from ..skinning.subset import choose_subset
+from ..skinning.subset import choose_subset, follow_nearest
 from ..splats.cloud import SplatCloud
+from ..splats.hygiene import Hygiene
 from .previews import preview_images
 from .progress import Progress
 from .proxy import Proxy
@@ -72,7 +73,10 @@ def run(
     clock = _Clock()
     progress("initial", 0.0, {}, "Preparing the splats")
     whole, skeleton = _to_unit_size(cloud, skeleton)
-    subset = choose_subset(whole, chosen.seed)
+    hygiene = Hygiene.parse(chosen.hygiene)
+    ignored, bad_counts = hygiene.find(whole)
+    shaped, needle_counts = hygiene.shape(whole)
+    subset = choose_subset(shaped, chosen.seed, ignored=ignored)
     proxy = Proxy.load(checkpoint.parent / chosen.mesh, cloud) if chosen.mesh else None
     cameras = paper_views(*percentile_bounds(whole.means), GUIDANCE_SIZE, front=FRONTS[chosen.front])
 
@@ -110,7 +114,7 @@ def run(
     progress("finish", OPTIMISE_END, {}, "Weights of all splats")
     learned, mesh_weights = optimiser.weights(), None
     if proxy is None:
-        weights = subset.spread(learned, initial, initial_whole)
+        weights = follow_nearest(whole.means, subset.spread(learned, initial, initial_whole), ignored)
     else:
         weights, mesh_weights = proxy.spread(learned), learned
     if chosen.max_influences:
@@ -123,6 +127,7 @@ def run(
         "field": field_name,
         "splats": whole.count,
         "splats_optimised": subset.cloud.count,
+        "hygiene": {**bad_counts, **needle_counts},
         "bones": skeleton.count,
         "guidance_images": len(targets),
         "iterations": optimiser.iteration,

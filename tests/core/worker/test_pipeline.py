@@ -101,6 +101,40 @@ def test_a_stopped_run_goes_on_and_ends_the_same(tmp_path, monkeypatch):
     np.testing.assert_array_equal(resumed.weights, whole.weights)
 
 
+def test_strays_are_ignored_and_follow_the_body(tmp_path):
+    limb = make_limb(800)
+    far = limb.cloud.select(np.array([5, 700]))
+    both = [
+        np.concatenate([getattr(limb.cloud, name), getattr(far, name)])
+        for name in ("means", "quats", "scales", "opacities", "sh")
+    ]
+    both[0][800:] += (0, 0, 1.0)
+    outcome = run(type(limb.cloud)(*both), limb.skeleton, {"preset": "draft"}, silent, tmp_path)
+    assert outcome.report["hygiene"] == {"strays": 2, "faint_giants": 0}
+    assert outcome.report["splats"] == 802
+    assert outcome.report["splats_optimised"] == 800
+    near = np.linalg.norm(limb.cloud.means - both[0][800:, None], axis=-1).argmin(1)
+    np.testing.assert_array_equal(outcome.weights[800:], outcome.weights[near])
+
+
+def test_needles_are_clamped_for_learning(tmp_path):
+    limb = make_limb(400)
+    scales = limb.cloud.scales.copy()
+    scales[:7, 0] *= 50
+    settings = {"preset": "draft", "hygiene": {"max_aspect": 10, "ignore_strays": False}}
+    report = run(replace(limb.cloud, scales=scales), limb.skeleton, settings, silent, tmp_path).report
+    assert report["hygiene"] == {"faint_giants": 0, "needles": 7}
+
+
+def test_the_volume_can_be_asked_for(tmp_path):
+    limb = make_limb(400)
+    options = {"resolution": 16, "width": 32}
+    settings = {"preset": "draft", "field": "volume", "field_options": options}
+    report = run(limb.cloud, limb.skeleton, settings, silent, tmp_path).report
+    assert report["field"] == "volume"
+    assert report["settings"]["field_options"] == options
+
+
 def test_influences_are_limited(tmp_path):
     limb = make_limb(600)
     outcome = run(limb.cloud, limb.skeleton, {"preset": "draft", "max_influences": 2}, silent, tmp_path)
@@ -116,6 +150,9 @@ def test_influences_are_limited(tmp_path):
         ({"front": "up"}, "front is 'up'"),
         ({"max_influences": -1}, "max_influences"),
         ({"sed": 3}, "unknown settings sed"),
+        ({"field": "grid"}, "field is 'grid'"),
+        ({"field_options": {"size": 3}}, "no option size"),
+        ({"hygiene": {"strays": True}}, "no option strays"),
     ],
 )
 def test_bad_settings_are_named(tmp_path, settings, words):
