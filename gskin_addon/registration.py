@@ -5,12 +5,24 @@ from __future__ import annotations
 
 import bpy
 
-from .operators import anchor, auto_skin, bind, command_line, import_splats
+from .operators import anchor, auto_skin, bind, command_line, hygiene, import_splats
 from .scene import handlers
 from .ui import panel, preferences, properties, splat_panels
 
 # Each has CLASSES, and register() and unregister() where there is more to do.
-MODULES = (properties, preferences, import_splats, bind, anchor, auto_skin, command_line, panel, splat_panels, handlers)
+MODULES = (
+    properties,
+    preferences,
+    import_splats,
+    hygiene,
+    bind,
+    anchor,
+    auto_skin,
+    command_line,
+    panel,
+    splat_panels,
+    handlers,
+)
 
 
 def register() -> None:

@@ -59,4 +59,18 @@ class GSKIN_PT_weights(_Child, bpy.types.Panel):
             column.operator("gskin.update_rotation_weights", icon="FILE_REFRESH")
 
 
-CLASSES = (GSKIN_PT_display, GSKIN_PT_weights)
+class GSKIN_PT_hygiene(_Child, bpy.types.Panel):
+    bl_idname = "GSKIN_PT_hygiene"
+    bl_label = "Clean Up"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return chosen_splats(context) is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        column = self.layout.column()
+        column.operator("gskin.select_bad_splats", icon="RESTRICT_SELECT_OFF")
+        column.operator("gskin.clean_splats", icon="BRUSH_DATA")
+
+
+CLASSES = (GSKIN_PT_display, GSKIN_PT_weights, GSKIN_PT_hygiene)
