@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gskin_addon.core.render.camera import evaluation_views, percentile_bounds
-from gskin_addon.core.render.image_metrics import psnr, ssim
+from gskin_addon.core.render.image_metrics import psnr
+from gskin_addon.core.render.photometric import l1_dssim
 from gskin_addon.core.render.rasterizer import render_cloud
 from gskin_addon.core.rig.kinematics import pose_transforms
 from gskin_addon.core.rig.lbs import skin_cloud, skin_points
@@ -55,7 +56,7 @@ class Judge:
         moved = skin_points(self._points, weights, self._poses)
         distance = np.linalg.norm(moved - self._truth, axis=-1) / self._diagonal * 100
         values = [
-            (min(psnr(image, truth), 60.0), ssim(image, truth))
+            (min(psnr(image, truth), 60.0), 1.0 - l1_dssim(image, truth, weight=1.0)[0])
             for pose, pictures in zip(self._poses, self._pictures, strict=True)
             for image, truth in zip(self._render(weights, pose), pictures, strict=True)
         ]
