@@ -56,6 +56,12 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
             return self._finish(context)
         except GSkinError as error:
             return self._fail(context, error)
+        except Exception:
+            # Blender frees the operator without a word to it; the panel must not go on saying that it runs.
+            self._job.cancel()
+            self._leave(context)
+            progress.end("Auto-Skin stopped on a fault of its own; the system console says where", failed=True)
+            raise
 
     def cancel(self, context: bpy.types.Context) -> None:
         """Blender ends the operator: another file is loaded, the window closes."""

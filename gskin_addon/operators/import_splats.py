@@ -95,12 +95,14 @@ class GSKIN_FH_splats(bpy.types.FileHandler):
 def _show_colors(context: bpy.types.Context) -> None:
     """Let the 3D views of this screen show colours as captured in Solid mode, where splats would all be grey.
 
-    A view whose colours were chosen is left alone. Lamps would shade splats a second time, so the light is flat.
+    A view whose colours were chosen is left alone. Lamps would shade splats a second time, and an outline would
+    run around every gap between them.
     """
     for area in context.screen.areas if context.screen else ():
         for space in area.spaces:
             if space.type == "VIEW_3D" and space.shading.color_type == "MATERIAL":
                 space.shading.color_type, space.shading.light = "VERTEX", "FLAT"
+                space.shading.show_object_outline = False
 
 
 def _draw_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:

@@ -81,7 +81,7 @@ class SkinJob:
         )
         if mesh is not None:
             write_mesh(folder, *mesh)
-        client = WorkerClient(python, folder)
+        client = WorkerClient(python, folder, gentle=not bpy.app.background)
         client.start()
         return cls(
             client,

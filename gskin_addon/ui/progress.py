@@ -23,6 +23,7 @@ class State:
     outcome: str = ""
     failed: bool = False
     details: str = ""
+    shown: str = ""
 
 
 state = State()
@@ -50,15 +51,17 @@ def show(context: bpy.types.Context) -> None:
     job = state.job
     if job is not None and context.workspace is not None:
         word = "Stopping" if job.cancelling else job.progress.message or job.progress.stage
-        context.workspace.status_text_set(
-            f"Auto-Skin: {word} {job.progress.fraction:.0%}, {time_left(job.seconds_left)}  (Esc cancels)"
-        )
+        text = f"Auto-Skin: {word} {job.progress.fraction:.0%}, {time_left(job.seconds_left)}  (Esc cancels)"
+        if text == state.shown:
+            return  # ten looks a second, but seldom news
+        state.shown = text
+        context.workspace.status_text_set(text)
     _redraw(context)
 
 
 def clear(context: bpy.types.Context) -> None:
     """Give the status bar back."""
-    state.job = None
+    state.job, state.shown = None, ""
     if context.workspace is not None:
         context.workspace.status_text_set(None)
     _redraw(context)

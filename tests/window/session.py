@@ -27,7 +27,7 @@ FROZEN = 0.1
 """Seconds for which Blender may not answer while a job runs."""
 SHOTS = (0.08, 0.35, 0.6, 0.85)
 POSE = {
-    "upper_arm.L": (0, -55, 10), "forearm.L": (0, -70, 0), "hand.L": (0, -14, 0),
+    "upper_arm.L": (0, -45, 10), "forearm.L": (0, -58, 0), "hand.L": (0, -14, 0),
     "upper_arm.R": (20, 10, 25), "forearm.R": (-35, 20, 60), "hand.R": (0, 20, 0),
     "spine": (4, 4, -6), "chest": (2, 4, -6), "head": (-4, 10, 14), "ear.L": (0, -18, 0), "ear.R": (0, 14, 0),
     "thigh.L": (-32, 0, -6), "shin.L": (50, 0, 0), "thigh.R": (6, -4, 0), "foot.L": (10, 0, 0),
@@ -69,7 +69,7 @@ def arrive(stage: Stage, hands: Hands, view: View) -> Story:
         bpy.data.objects.remove(obj)
     with view.override():
         stage.check("without splats Auto-Skin says what is missing", not bpy.ops.gskin.auto_skin.poll())
-    view.space.show_region_ui = True
+    view.space.show_region_ui, view.space.show_region_hud = True, False
     yield 0.8
     view.region("UI").active_panel_category = "GSkin"
     # The side bar opens narrow; a person drags its edge once, and so do we.
@@ -83,7 +83,8 @@ def bring_in(stage: Stage, hands: Hands, view: View, options: argparse.Namespace
     stage.chapter = "import"
     started = time.monotonic()
     with view.override():
-        done = bpy.ops.gskin.import_splats(filepath=str(options.splats))
+        # True: with a step in the undo history, as from the menu.
+        done = bpy.ops.gskin.import_splats("EXEC_DEFAULT", True, filepath=str(options.splats))
     stage.numbers["import_s"] = time.monotonic() - started
     stage.check("the splats are imported", done == {"FINISHED"})
     splats = find_splats()
@@ -93,8 +94,18 @@ def bring_in(stage: Stage, hands: Hands, view: View, options: argparse.Namespace
     rest(rig)
     bpy.context.scene.gskin.preset = options.preset
     rig.data.display_type, rig.show_in_front = "STICK", True
+    bpy.context.scene.gskin.splats, bpy.context.scene.gskin.armature = splats, rig
+    for obj in (splats, rig):
+        obj.select_set(False)
     look(view)
+    # Python's own changes are no undo steps; a person's are.
+    with view.override():
+        bpy.ops.ed.undo_push(message="Bring in splats and armature")
     yield 1.0
+    with view.override():
+        started = time.monotonic()
+        bpy.ops.wm.redraw_timer(type="DRAW", iterations=5)
+        stage.numbers["view_redraw_s"] = (time.monotonic() - started) / 5
     yield from hands.move(*view.middle())
     yield from hands.shoot("01_panel")
     with view.override():
@@ -139,6 +150,14 @@ def change_of_mind(stage: Stage, hands: Hands, view: View) -> Story:
 def auto_skin(stage: Stage, hands: Hands, view: View) -> Story:
     """The whole job, with the bar seen moving and a heart that may not miss a beat."""
     button = yield from view.find_button(hands, "gskin.auto_skin")
+    # The same window drawing its side bar as often without a job: what this machine can do at the moment.
+    stage.chapter = "control"
+    until = time.monotonic() + 5.0
+    while time.monotonic() < until:
+        view.region("UI").tag_redraw()
+        yield 0.1
+    modal = timed("modal", bpy.types.GSKIN_OT_auto_skin)
+    panel = timed("draw", bpy.types.GSKIN_PT_main)
     stage.chapter = "start"
     clicked = time.monotonic()
     yield from hands.click(*button)
@@ -160,14 +179,23 @@ def auto_skin(stage: Stage, hands: Hands, view: View) -> Story:
     yield 0.5
     stage.numbers["job_s"] = time.monotonic() - clicked
     stage.check("the bar was seen at four places", len(seen) == len(SHOTS) and seen == sorted(set(seen)), seen)
-    for chapter in ("start", "job", "finish"):
+    for chapter in ("control", "start", "job", "finish"):
         gaps = np.array(stage.gaps(chapter) or [0.0])
         stage.numbers[f"{chapter}_beats"] = len(gaps)
         stage.numbers[f"{chapter}_longest_gap_s"] = float(gaps.max())
         stage.numbers[f"{chapter}_p99_gap_s"] = float(np.quantile(gaps, 0.99))
         stage.numbers[f"{chapter}_late_beats"] = int((gaps > FROZEN).sum())
+    # The last call writes the weights; it belongs to the finish.
+    stage.numbers["operator_tick_longest_s"] = max(modal[:-1], default=0.0)
+    stage.numbers["write_back_s"] = modal[-1] if modal else 0.0
+    stage.numbers["panel_draw_longest_s"] = max(panel, default=0.0)
+    stage.check("the operator's own time is short", max(modal[:-1], default=9.0) < 0.02, f"{max(modal[:-1]):.4f} s")
+    stage.numbers["job_view_redraws"] = stage.redraws["job"]
+    # A window drawn by a busy processor is late without us: what it does there is the measure.
+    allowed = max(FROZEN, 1.5 * stage.numbers["control_longest_gap_s"])
     longest = stage.numbers["job_longest_gap_s"]
-    stage.check(f"the window never froze for {FROZEN} s while the job ran", longest <= FROZEN, f"{longest:.3f} s")
+    stage.check("the window never froze while the job ran", longest <= allowed, f"{longest:.3f} s of {allowed:.3f} s")
+    stage.check("the 3D view is not drawn again for the bar", stage.redraws["job"] < 5, stage.redraws["job"])
     outcome = part("ui.progress").state
     stage.check("the job ended well", not outcome.failed and "follow" in outcome.outcome, outcome.outcome)
     splats, rig = find_splats(), find_rig()
@@ -218,7 +246,7 @@ def pose(stage: Stage, hands: Hands, view: View) -> Story:
     yield from hands.shoot("06_posed_clean")
     for kind, name in (("MATERIAL", "07_posed_material"),):
         view.space.shading.type = kind
-        yield 4.0
+        yield 20.0  # the software driver compiles shaders for that long
         yield from hands.shoot(name)
     view.space.shading.type, view.space.overlay.show_overlays = "SOLID", True
     with view.override():
@@ -310,6 +338,25 @@ def rest(rig: Any) -> None:
     for bone in rig.pose.bones:
         bone.matrix_basis.identity()
     bpy.context.view_layer.update()
+
+
+def timed(method: str, cls: Any) -> list[float]:
+    """Seconds that each call of a class's method takes from now on."""
+    original, seconds = getattr(cls, method), []
+
+    def measured(*arguments: Any) -> Any:
+        started = time.perf_counter()
+        try:
+            return original(*arguments)
+        finally:
+            seconds.append(time.perf_counter() - started)
+
+    # Blender looks at how many parameters a method names.
+    if method == "modal":
+        cls.modal = lambda self, context, event: measured(self, context, event)
+    else:
+        cls.draw = lambda self, context: measured(self, context)
+    return seconds
 
 
 def running() -> bool:

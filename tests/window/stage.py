@@ -7,6 +7,7 @@ import json
 import subprocess
 import time
 import traceback
+from collections import Counter
 from collections.abc import Callable, Generator
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ class Stage:
         self.numbers: dict[str, float] = {}
         self.beats: list[tuple[float, str]] = []
         self.chapter = ""
+        self.redraws: Counter[str] = Counter()
         self._story: Story | None = None
         self._wait: Wait = 0.0
         self._since = time.monotonic()
@@ -36,6 +38,7 @@ class Stage:
     def play(self, story: Story) -> None:
         """Start; returns at once."""
         self._story = story
+        bpy.types.SpaceView3D.draw_handler_add(self._redrawn, (), "WINDOW", "PRE_VIEW")
         bpy.app.timers.register(self._beat, first_interval=0.5, persistent=True)
 
     def check(self, what: str, good: Any, seen: Any = "") -> None:
@@ -47,6 +50,9 @@ class Stage:
         """Seconds between beats of which the later one fell in `chapter`."""
         pairs = zip(self.beats, self.beats[1:], strict=False)
         return [late - early for (early, _), (late, name) in pairs if name == chapter]
+
+    def _redrawn(self) -> None:
+        self.redraws[self.chapter] += 1
 
     def _beat(self) -> float | None:
         self.beats.append((time.monotonic(), self.chapter))
@@ -112,7 +118,7 @@ class Hands:
     def shoot(self, name: str) -> Story:
         """A picture of the whole screen."""
         path = str(self.out / f"{name}.png")
-        yield from self._run("import", "-window", "root", "-define", "png:compression-level=9", path)
+        yield from self._run("nice", "import", "-window", "root", "-define", "png:compression-level=9", path)
 
     def _run(self, *command: str) -> Story:
         process = subprocess.Popen(command, stdin=subprocess.DEVNULL)

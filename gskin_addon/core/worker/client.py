@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import queue
 import subprocess
 import threading
@@ -61,8 +62,12 @@ class WorkerClient:
     KILL_AFTER = 0.5
     """Seconds after `cancel` at which a worker that is still there is killed."""
 
-    def __init__(self, python: str | Path, folder: str | Path, program: Path = PROGRAM) -> None:
+    def __init__(
+        self, python: str | Path, folder: str | Path, program: Path = PROGRAM, *, gentle: bool = False
+    ) -> None:
+        """gentle: the worker gives way to other programs, so that a window stays quick while it runs."""
         self.python, self.folder = Path(python), Path(folder)
+        self._gentle = gentle
         self.state: State = "new"
         self.error = ""
         self.traceback = ""
@@ -83,6 +88,9 @@ class WorkerClient:
         if self._process is not None:
             raise RuntimeError("a WorkerClient runs once")
         command = [str(self.python), "-u", str(self._program), str(self.folder)]
+        flags: int = getattr(subprocess, "CREATE_NO_WINDOW", 0)
+        if self._gentle:
+            flags |= getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0)
         try:
             self._process = subprocess.Popen(
                 command,
@@ -90,13 +98,17 @@ class WorkerClient:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 env=worker_environment(),
-                creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+                creationflags=flags,
             )
         except OSError as error:
             raise InputError(
                 f"The worker's interpreter '{self.python}' cannot be started ({error.strerror}); "
                 "name a Python that has torch in the add-on's preferences (or GSKIN_PYTHON)."
             ) from error
+        if self._gentle and hasattr(os, "setpriority"):
+            # What the worker starts later inherits this.
+            with contextlib.suppress(OSError):
+                os.setpriority(os.PRIO_PROCESS, self._process.pid, 10)
         self.state = "running"
         log = threading.Thread(target=self._read_log, args=(self._process,), name="gskin-log", daemon=True)
         log.start()
