@@ -37,6 +37,8 @@ from .settings import FRONTS, PRESET_FIELD, JobSettings
 
 GUIDANCE_SIZE = 512
 CHECKPOINT_SECONDS = 5.0
+# The weight volume's state has 450 MB: writing it may take this part of the time.
+CHECKPOINT_SHARE = 0.1
 # Shares of the whole run, for the progress bar: measured at 50,000 splats and 20 bones.
 INITIAL_END, GUIDANCE_END, OPTIMISE_END = 0.08, 0.2, 0.98
 
@@ -188,7 +190,7 @@ def _optimise(
         state = torch.load(path, weights_only=False)  # our own file, in the job's own folder
         optimiser.restore(state["optimiser"])
         history = state["history"]
-    saved = time.monotonic()
+    saved, cost = time.monotonic(), 0.0
     every = max(1, iterations // 50)
     while optimiser.iteration < iterations:
         number = optimiser.iteration
@@ -197,9 +199,11 @@ def _optimise(
             history.append({"iteration": number, **parts})
         done = GUIDANCE_END + (OPTIMISE_END - GUIDANCE_END) * optimiser.iteration / iterations
         progress("optimise", done, parts, f"Iteration {number + 1} of {iterations}")
-        if time.monotonic() - saved > CHECKPOINT_SECONDS:
+        begun = time.monotonic()
+        if begun - saved > CHECKPOINT_SECONDS + cost / CHECKPOINT_SHARE:
             _save({"optimiser": optimiser.state(), "history": history}, path)
             saved = time.monotonic()
+            cost = saved - begun
     return history
 
 

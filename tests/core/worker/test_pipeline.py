@@ -79,6 +79,7 @@ def test_result_does_not_depend_on_place_and_unit(tmp_path):
 
 def test_a_stopped_run_goes_on_and_ends_the_same(tmp_path, monkeypatch):
     monkeypatch.setattr(pipeline, "CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr(pipeline, "CHECKPOINT_SHARE", np.inf)
     limb = make_limb(800)
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
