@@ -108,7 +108,7 @@ def isotropic(cloud: SplatCloud) -> SplatCloud:
     """
     ordered = np.sort(cloud.scales.astype(np.float64), axis=1)
     radius = np.sqrt(ordered[:, 2] * ordered[:, 1])
-    quats = np.tile(np.float32([1, 0, 0, 0]), (cloud.count, 1))
+    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (cloud.count, 1))
     stored = {name: column for name, column in _without_scales(cloud).items() if not name.startswith("rot")}
     scales = np.repeat(radius.astype(np.float32)[:, None], 3, axis=1)
     return replace(cloud, scales=scales, quats=quats, stored=stored)
