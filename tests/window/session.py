@@ -325,8 +325,8 @@ def look(view: View) -> None:
     """From the front, a little from the left and above."""
     space = view.space.region_3d
     space.view_perspective = "PERSP"
-    space.view_location = (0.05, 0.0, 0.80)
-    space.view_distance = 2.9
+    space.view_location = (0.05, 0.0, 0.83)
+    space.view_distance = 3.1
     direction = mathutils.Vector((0.55, -1.0, 0.22))
     space.view_rotation = direction.to_track_quat("Z", "Y")
     view.space.lens = 60
