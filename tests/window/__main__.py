@@ -50,6 +50,7 @@ def main() -> int:
     parser.add_argument("--demo", type=Path, default=ROOT / "out" / "demo", help="where `make demo` wrote")
     parser.add_argument("--out", type=Path, help="folder for pictures and result (default: out/window-SUITE)")
     parser.add_argument("--preset", default="standard", help="preset of the job (default: standard)")
+    parser.add_argument("--background", action="store_true", help="only what needs no window")
     parser.add_argument("--pictures", action="store_true", help="renew docs/images")
     options = parser.parse_args()
     out = (options.out or ROOT / "out" / f"window-{options.suite}").absolute()
@@ -69,6 +70,11 @@ def main() -> int:
     install = [blender.program, "--command", "extension", "install-file", "-r", "user_default", "-e", str(archive)]
     if blender.run(install, environment, 120) != 0:
         return say("Blender did not install the extension; its words are above.", 1)
+    plain = [blender.program, "-b", "--python-exit-code", "1", "--python", str(ROOT / "tests/window/background.py")]
+    if blender.run([*plain, "--", "--out", str(out), "--splats", str(splats)], environment, 300) != 0:
+        return say("The extension fails without a window; Blender's words are above.", 1)
+    if options.background:
+        return 0
     session = [
         *("xvfb-run", "-a", "-s", SCREEN, blender.program),
         *("--window-geometry", "0", "0", "1600", "900", "--python", str(ROOT / "tests/window/session.py"), "--"),
