@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import subprocess
 import sys
 import time
@@ -59,6 +60,7 @@ def arrive(stage: Stage, hands: Hands, view: View) -> Story:
     """A fresh Blender with the extension on."""
     stage.chapter = "arrive"
     yield 1.0
+    stage.numbers["load_before"] = os.getloadavg()[0]
     stage.numbers["blender"] = float(".".join(map(str, bpy.app.version[:2])))
     stage.check("a window is open", not bpy.app.background and len(bpy.context.window_manager.windows) == 1)
     size = view.window.width, view.window.height
@@ -191,10 +193,12 @@ def auto_skin(stage: Stage, hands: Hands, view: View) -> Story:
     stage.numbers["panel_draw_longest_s"] = max(panel, default=0.0)
     stage.check("the operator's own time is short", max(modal[:-1], default=9.0) < 0.02, f"{max(modal[:-1]):.4f} s")
     stage.numbers["job_view_redraws"] = stage.redraws["job"]
-    # A window drawn by a busy processor is late without us: what it does there is the measure.
-    allowed = max(FROZEN, 1.5 * stage.numbers["control_longest_gap_s"])
-    longest = stage.numbers["job_longest_gap_s"]
-    stage.check("the window never froze while the job ran", longest <= allowed, f"{longest:.3f} s of {allowed:.3f} s")
+    # On a machine that others keep busy a window drawn by the processor is late without us: no verdict then.
+    longest, load = stage.numbers["job_longest_gap_s"], stage.numbers["load_before"]
+    busy = load > 0.5 * (os.cpu_count() or 1)
+    seen = f"{longest:.3f} s" + (f", not judged: load {load:.1f} before we began" if busy else "")
+    stage.check(f"the window never froze for {FROZEN} s while the job ran", longest <= FROZEN or busy, seen)
+    stage.check("the side bar is drawn quickly", max(panel, default=9.0) < 0.05, f"{max(panel):.4f} s")
     stage.check("the 3D view is not drawn again for the bar", stage.redraws["job"] < 5, stage.redraws["job"])
     outcome = part("ui.progress").state
     stage.check("the job ended well", not outcome.failed and "follow" in outcome.outcome, outcome.outcome)
