@@ -24,14 +24,13 @@ def world_similarity(obj: bpy.types.Object) -> tuple[Array, float, Array]:
     matrix = np.array(obj.matrix_world, dtype=np.float64)
     linear = matrix[:3, :3]
     scale = float(np.cbrt(np.linalg.det(linear)))
+    # Applying would scale the centres of splats, but not the splats themselves.
+    remedy = "apply it (Object > Apply > Scale)" if obj.type == "ARMATURE" else "give all three axes one positive scale"
     if scale <= 0.0:
-        raise InputError(
-            f"'{obj.name}' is mirrored or has zero scale; "
-            "make its scale positive and apply it (Object > Apply > Scale)."
-        )
+        raise InputError(f"'{obj.name}' is mirrored or has zero scale; {remedy} and try again.")
     rotation = linear / scale
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4):
         sizes = ", ".join(f"{s:.4g}" for s in np.linalg.norm(linear, axis=0))
-        raise InputError(f"'{obj.name}' is scaled unevenly ({sizes}); apply it (Object > Apply > Scale) and try again.")
+        raise InputError(f"'{obj.name}' is scaled unevenly ({sizes}); {remedy} and try again.")
     u, _, vt = np.linalg.svd(rotation)
     return u @ vt, scale, matrix[:3, 3]

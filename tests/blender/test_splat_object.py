@@ -92,7 +92,7 @@ def test_world_space_looks_the_same_from_anywhere():
 def test_uneven_scale_is_refused_with_the_remedy(scale):
     obj = create_splat_object(clouds.random_cloud(5, 0), "Vase")
     obj.scale = scale
-    with pytest.raises(InputError, match=r"'Vase'.*Apply > Scale"):
+    with pytest.raises(InputError, match=r"'Vase'.*all three axes"):
         read_cloud(obj)
 
 
