@@ -122,7 +122,7 @@ def run(
     if chosen.max_influences:
         weights = sparsify(weights, chosen.max_influences)
         mesh_weights = None if mesh_weights is None else sparsify(mesh_weights, chosen.max_influences)
-    previews = preview_images(whole, skeleton, initial_whole, weights, cameras, signals, targets)
+    previews = preview_images(whole, initial_whole, weights, cameras, signals, targets)
     clock.lap("finish")
     report = {
         "settings": chosen.as_dict(),

@@ -14,8 +14,8 @@ from ..guidance.control import ControlSignal
 from ..guidance.mask import dynamic_mask
 from ..render.camera import Camera
 from ..render.rasterizer import render_cloud
+from ..rig.colors import weight_colors
 from ..rig.lbs import skin_cloud
-from ..rig.skeleton import Skeleton
 from ..skinning.optimise import Target
 from ..splats.cloud import SH_C0, SplatCloud
 
@@ -25,7 +25,6 @@ _HANDLE, _TARGET = (0.1, 0.3, 1.0), (1.0, 0.15, 0.1)
 
 def preview_images(
     cloud: SplatCloud,
-    skeleton: Skeleton,
     initial: NDArray[Any],
     weights: NDArray[Any],
     cameras: Sequence[Camera],
@@ -34,7 +33,7 @@ def preview_images(
 ) -> dict[str, Image]:
     """`weights`: splats in their bones' colours, from all cameras; `guidance`: for some poses the control
     points, the dynamic mask, the guidance image, and the splats posed with initial and learned weights."""
-    colored = weight_colors(cloud, weights, skeleton)
+    colored = replace(cloud, sh=((weight_colors(weights) - 0.5) / SH_C0)[:, None, :].astype(np.float32))
     sheet = np.concatenate([render_cloud(colored, camera)[0] for camera in cameras], axis=1)
     rows = []
     for number in np.linspace(0, len(signals) - 1, min(4, len(signals))).astype(int):
@@ -47,20 +46,6 @@ def preview_images(
         control = draw_points(shaded, signal.handles, signal.targets)
         rows.append(np.concatenate([control, target.image / 255.0, before, after], axis=1))
     return {"weights": sheet, "guidance": np.concatenate(rows)}
-
-
-def weight_colors(
-    cloud: SplatCloud, weights: NDArray[Any], skeleton: Skeleton
-) -> SplatCloud:
-    """The cloud with every splat in the blend of its bones' colours (distinct hues, golden-angle steps)."""
-    import colorsys
-
-    golden = 0.61803398875
-    palette = np.array(
-        [colorsys.hsv_to_rgb(i * golden % 1, 0.55 + 0.4 * (i % 2), 0.95) for i in range(skeleton.count)]
-    )
-    color = np.asarray(weights) @ palette
-    return replace(cloud, sh=((color - 0.5) / SH_C0)[:, None, :].astype(np.float32))
 
 
 def draw_points(image: Image, handles: NDArray[Any], targets: NDArray[Any]) -> Image:
