@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import bpy
 
-from .operators import anchor, auto_skin, bind, command_line, hygiene, import_splats
+from .operators import anchor, auto_skin, bind, command_line, confidence, hygiene, import_splats
 from .scene import handlers
 from .ui import panel, preferences, properties, splat_panels
 
@@ -16,6 +16,7 @@ MODULES = (
     import_splats,
     hygiene,
     bind,
+    confidence,
     anchor,
     auto_skin,
     command_line,

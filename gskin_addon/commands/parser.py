@@ -146,9 +146,9 @@ def _render(commands: Any) -> None:
     )
     render.add_argument(
         "--color",
-        choices=("splats", "weights"),
+        choices=("splats", "weights", "confidence"),
         default="splats",
-        help="the splats' own colours, or one per bone",
+        help="the splats' own colours, one per bone, or how sure the weights are, red to blue",
     )
     render.add_argument(
         "--engine",

@@ -9,8 +9,10 @@ import importlib.util
 import subprocess
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..core.errors import GSkinError, InputError
 from ..core.splats.cloud import SH_C0, SplatCloud
@@ -23,12 +25,15 @@ from .paths import check_output
 from .pose import open_posed
 from .rig import read_splats
 
+if TYPE_CHECKING:
+    import bpy
+
 
 def run(options: argparse.Namespace) -> None:
     """Do it. Raises InputError for what cannot be used."""
     check_output(options.out, "--out", (".png",))
     if options.source.suffix.lower() == ".ply":
-        if options.engine == "cycles" or options.color == "weights" or options.rotate or options.frame is not None:
+        if options.engine == "cycles" or options.color != "splats" or options.rotate or options.frame is not None:
             raise InputError(f"'{options.source}' has no rig to pose, colour or render by; give a rigged .blend.")
         draw(read_splats(options.source, options.ply_up, drop_invalid=True), options)
     else:
@@ -43,7 +48,9 @@ def run(options: argparse.Namespace) -> None:
 
             cloud = posed_cloud(obj)
             if options.color == "weights":
-                cloud = _colored_by_weights(cloud, obj)
+                cloud = _colored(cloud, _weight_colors(obj))
+            elif options.color == "confidence":
+                cloud = _colored(cloud, _confidence_colors(obj))
             if importlib.util.find_spec("numba") is not None:
                 draw(cloud, options)
             else:
@@ -63,14 +70,28 @@ def draw(cloud: SplatCloud, options: argparse.Namespace) -> None:
     write_png(options.out, image)
 
 
-def _colored_by_weights(cloud: SplatCloud, obj: object) -> SplatCloud:
+def _colored(cloud: SplatCloud, rgb: NDArray[Any]) -> SplatCloud:
+    return dataclasses.replace(cloud, sh=((rgb - 0.5) / SH_C0)[:, None, :].astype(np.float32))
+
+
+def _confidence_colors(obj: bpy.types.Object) -> NDArray[Any]:
+    from ..core.rig.colors import heat_colors
+    from ..scene import names
+    from ..scene.attributes import read_attribute
+
+    confidence = read_attribute(obj.data, names.CONFIDENCE)
+    if confidence is None:
+        raise InputError(f"'{obj.name}' does not know how sure its weights are; skin it again with `gskin rig`.")
+    return heat_colors(1.0 - confidence)
+
+
+def _weight_colors(obj: bpy.types.Object) -> NDArray[Any]:
     from ..core.rig.colors import weight_colors
     from ..scene.weights import read_weights
 
     weights, _ = read_weights(obj)
     total = weights.sum(axis=1, keepdims=True)
-    rgb = weight_colors(weights / np.maximum(total, 1e-12))
-    return dataclasses.replace(cloud, sh=((rgb - 0.5) / SH_C0)[:, None, :].astype(np.float32))
+    return weight_colors(weights / np.maximum(total, 1e-12))
 
 
 def _draw_elsewhere(cloud: SplatCloud, options: argparse.Namespace) -> None:

@@ -83,8 +83,8 @@ def run(options: argparse.Namespace) -> None:
         weights = sparsify(result.weights, options.max_influences)
         printer(ProgressEvent("save", 1.0, message=options.out.name))
         if options.weights is not None:
-            write_weights(options.weights, weights, skeleton, result.mesh_weights)
-        obj = _bind(cloud, options.splats.stem, armature, weights, result.bones, options.max_influences)
+            write_weights(options.weights, weights, skeleton, result.mesh_weights, result.confidence)
+        obj = _bind(cloud, options.splats.stem, armature, weights, result, options.max_influences)
         # glTF knows no anchors: there the splats keep weights of their own, blended from the mesh's.
         if mesh is not None and options.out.suffix.lower() == ".blend":
             _anchor(obj, options.mesh.stem, mesh, armature, result)
@@ -145,13 +145,15 @@ def _work(python: Path, folder: Path, printer: ProgressPrinter) -> Result:
 
 
 def _bind(
-    cloud: SplatCloud, name: str, armature: object, weights: object, bones: object, influences: int
+    cloud: SplatCloud, name: str, armature: object, weights: object, result: Result, influences: int
 ) -> bpy.types.Object:
     from ..scene.splat_object import create_splat_object
     from ..scene.weights import write_weights as write_groups
 
     obj = create_splat_object(cloud, name)
-    write_groups(obj, armature, weights, bones, max_influences=influences)
+    write_groups(
+        obj, armature, weights, result.bones, max_influences=influences, confidence=result.confidence
+    )
     return obj
 
 

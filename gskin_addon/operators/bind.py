@@ -36,7 +36,14 @@ class GSKIN_OT_load_weights(bpy.types.Operator, ImportHelper):
         splats, armature = chosen_splats(context), chosen_armature(context)
         try:
             result = read_weights_file(Path(self.filepath))
-            write_weights(splats, armature, result.weights, result.bones, max_influences=self.max_influences)
+            write_weights(
+                splats,
+                armature,
+                result.weights,
+                result.bones,
+                max_influences=self.max_influences,
+                confidence=result.confidence,
+            )
         except GSkinError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

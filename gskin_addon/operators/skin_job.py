@@ -127,7 +127,14 @@ class SkinJob:
             )
         for proxy in proxies:
             bind_proxy(proxy, armature, result.mesh_weights, result.bones)
-        write_weights(splats, armature, result.weights, result.bones, max_influences=self.max_influences)
+        write_weights(
+            splats,
+            armature,
+            result.weights,
+            result.bones,
+            max_influences=self.max_influences,
+            confidence=result.confidence,
+        )
         for proxy in proxies:
             anchor_to_mesh(splats, proxy)
         shutil.rmtree(self.client.folder, ignore_errors=True)

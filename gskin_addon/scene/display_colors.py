@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Colours of drawn splats, as nodes: as captured, by their bones, or by the weights of one bone."""
+"""Colours of drawn splats, as nodes: as captured, by their bones, by confidence, or by the weights of one bone."""
 
 from __future__ import annotations
 
@@ -11,16 +11,20 @@ from . import names
 from .node_builder import Tree
 
 SHOW_BONES = "Show Bones"
+SHOW_CONFIDENCE = "Show Confidence"
 SHOW_WEIGHTS_OF = "Show Weights Of"
 
 Sampled = Callable[[Any, str], Any]
 """Gives a splat attribute, by name and Blender's type, at the drawn points."""
 
 
-def splat_color(tree: Tree, sampled: Sampled, show_bones: Any, show_weights_of: Any) -> Any:
+def splat_color(tree: Tree, sampled: Sampled, show_bones: Any, show_confidence: Any, show_weights_of: Any) -> Any:
     """Field of linear colour and opacity. The switches are single values, so only the chosen colours are computed."""
     base = sampled(names.BASE, "FLOAT_COLOR")
     inputs = {"Switch": show_bones, "False": _captured(tree, base), "True": _by_bones(tree, sampled)}
+    srgb = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="VECTOR")
+    unsure = tree.math("SUBTRACT", 1.0, sampled(names.CONFIDENCE, "FLOAT"))
+    inputs = {"Switch": show_confidence, "False": srgb, "True": _heat(tree, unsure)}
     srgb = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="VECTOR")
     named = tree.out(
         "FunctionNodeCompare", "Result", {"A": show_weights_of, "B": ""}, data_type="STRING", operation="NOT_EQUAL"

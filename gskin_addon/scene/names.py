@@ -24,6 +24,9 @@ BONE = "gskin:bone_{}"
 """Index of the i-th strongest bone among the bone frames; -1 for none."""
 WEIGHT = "gskin:weight_{}"
 
+CONFIDENCE = "gskin:confidence"
+"""How sure the weights of each splat are, 0 to 1; exists where the method that made them knows."""
+
 COLOR = "gskin:color"
 """Linear colour and opacity of a drawn splat; exists only on the display geometry."""
 

@@ -120,6 +120,12 @@ def set_input(modifier: bpy.types.NodesModifier, name: str, value: Any) -> None:
     modifier.id_data.update_tag()
 
 
+def has_input(modifier: bpy.types.NodesModifier, name: str) -> bool:
+    """Whether the modifier's node group has an input of this label; a group from an older file may lack it."""
+    items = modifier.node_group.interface.items_tree
+    return any(i.item_type == "SOCKET" and i.in_out == "INPUT" and i.name == name for i in items)
+
+
 def get_input(modifier: bpy.types.NodesModifier, name: str) -> Any:
     """The value of a node group's input on a modifier by its label."""
     identifier = _identifier(modifier, name)

@@ -13,11 +13,11 @@ from typing import Any
 import bpy
 
 from . import names
-from .display_colors import SHOW_BONES, SHOW_WEIGHTS_OF, splat_color
+from .display_colors import SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF, splat_color
 from .materials import FAINTEST, render_material, viewport_material
 from .node_builder import Tree, find_group, geometry_group, get_input, set_input
 
-VERSION = 1
+VERSION = 2
 
 VIEWPORT_LIMIT = 100_000
 VIEWPORT_SIGMAS = 1.6
@@ -59,6 +59,14 @@ _INPUTS: list[tuple[str, str, dict[str, Any]]] = [
         SHOW_BONES,
         "NodeSocketBool",
         {"default_value": False, "description": "Colour every splat by the bones that turn it, not as captured"},
+    ),
+    (
+        SHOW_CONFIDENCE,
+        "NodeSocketBool",
+        {
+            "default_value": False,
+            "description": "Colour every splat by how sure its weights are, from red (touch up here) to blue (sure)",
+        },
     ),
     (
         SHOW_WEIGHTS_OF,
@@ -132,7 +140,8 @@ def _build(group: bpy.types.NodeTree) -> None:
 
     base = sampled(names.BASE, "FLOAT_COLOR")
     opacity = tree.output(tree.node("FunctionNodeSeparateColor", {"Color": base}), "Alpha")
-    color = splat_color(tree, sampled, tree.output(source, SHOW_BONES), tree.output(source, SHOW_WEIGHTS_OF))
+    shown_as = (tree.output(source, label) for label in (SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF))
+    color = splat_color(tree, sampled, *shown_as)
     points = tree.out("GeometryNodePoints", "Points", {"Count": shown, "Position": sampled("position", "FLOAT_VECTOR")})
     points = tree.out(
         "GeometryNodeStoreNamedAttribute",

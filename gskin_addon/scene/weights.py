@@ -31,12 +31,14 @@ def write_weights(
     bones: Sequence[str] | None = None,
     *,
     max_influences: int = 4,
+    confidence: Array | None = None,
 ) -> None:
     """Bind `obj` to `armature` with `weights` (N, B) as vertex groups named after the bones.
 
     bones: the B bone names of the weights' columns (default: the armature's deform bones). Every splat keeps its
     `max_influences` strongest bones, normalised. Vertex groups of the armature's bones are replaced, other groups
-    stay. One call inside an operator is one undo step.
+    stay. confidence: (N,) in 0..1, how sure the weights are; without it an earlier one is removed. One call inside
+    an operator is one undo step.
 
     Raises InputError: shapes that do not match, NaN, bones that the armature lacks or that do not deform,
     non-uniform object scale, an object in Edit Mode.
@@ -54,6 +56,10 @@ def write_weights(
     frames = bind(obj, armature)
     _write_groups(obj, deform, index, value)
     _write_influences(obj, frames, deform, index, value)
+    if confidence is not None:
+        write_attribute(obj.data, names.CONFIDENCE, "FLOAT", confidence)
+    elif names.CONFIDENCE in obj.data.attributes:
+        obj.data.attributes.remove(obj.data.attributes[names.CONFIDENCE])
 
 
 def read_weights(obj: bpy.types.Object, bones: Sequence[str] | None = None) -> tuple[Array, list[str]]:

@@ -5,9 +5,10 @@ from __future__ import annotations
 
 import bpy
 
+from ..scene import names
 from ..scene.bone_frames import armature_of
-from ..scene.display_colors import SHOW_WEIGHTS_OF
-from ..scene.node_builder import input_property
+from ..scene.display_colors import SHOW_CONFIDENCE, SHOW_WEIGHTS_OF
+from ..scene.node_builder import has_input, input_property
 from ..scene.node_groups import DISPLAY_INPUTS, find_display
 from .properties import chosen_splats
 
@@ -36,6 +37,10 @@ class GSKIN_PT_display(_Child, bpy.types.Panel):
         column.use_property_split = True
         column.use_property_decorate = False
         for name in DISPLAY_INPUTS:
+            if not has_input(modifier, name):
+                continue
+            if name == SHOW_CONFIDENCE and names.CONFIDENCE not in splats.data.attributes:
+                continue
             owner, path = input_property(modifier, name)
             if name == SHOW_WEIGHTS_OF:
                 column.prop_search(owner, path, splats, "vertex_groups", text=name)
@@ -57,6 +62,8 @@ class GSKIN_PT_weights(_Child, bpy.types.Panel):
         column.operator("gskin.bind_to_armature", icon="LINKED")
         if armature_of(chosen_splats(context)) is not None:
             column.operator("gskin.update_rotation_weights", icon="FILE_REFRESH")
+        if names.CONFIDENCE in chosen_splats(context).data.attributes:
+            column.operator("gskin.select_unsure_splats", icon="RESTRICT_SELECT_OFF")
 
 
 class GSKIN_PT_hygiene(_Child, bpy.types.Panel):

@@ -11,7 +11,7 @@ from PIL import Image
 
 bpy = pytest.importorskip("bpy")
 
-from gskin_addon.core.rig.colors import weight_colors
+from gskin_addon.core.rig.colors import heat_colors, weight_colors
 from gskin_addon.core.rig.lbs import sparsify
 from gskin_addon.core.rig.quaternion import quat_to_matrix
 from gskin_addon.core.splats.cloud import SH_C0, SplatCloud
@@ -102,6 +102,21 @@ def test_colours_by_bones_and_by_weights():
     red_over_blue = (shown[:, 0] - shown[:, 2])[order]
     assert (np.diff(red_over_blue) >= -1e-6).all()
     assert red_over_blue[-1] > red_over_blue[0]
+
+
+def test_colours_by_confidence():
+    rng = np.random.default_rng(5)
+    cloud = clouds.random_cloud(50, 0)
+    obj, armature = create_splat_object(cloud, "S"), rigs.make_chains(3, rng)
+    set_display(obj, "Minimum Opacity", 0.0)
+    set_display(obj, "Show Confidence", True)
+    confidence = rng.random(50).astype(np.float32)
+    weights = rigs.random_weights(cloud, 3, rng)
+    write_weights(obj, armature, weights, confidence=confidence)
+    shown = read_attribute(drawn(obj), names.COLOR).reshape(50, CORNERS, 4)[:, 0, :3]
+    np.testing.assert_allclose(shown, linear(heat_colors(1 - confidence)), atol=1e-4)
+    write_weights(obj, armature, weights)
+    assert names.CONFIDENCE not in obj.data.attributes
 
 
 def test_one_group_and_one_modifier_however_often():

@@ -63,7 +63,9 @@ def act(cloud: Any, skeleton: Any, settings: dict[str, Any], progress: Any, chec
     if settings.get("mesh"):
         on_mesh = np.zeros((len(read_mesh(checkpoint.parent / settings["mesh"])[0]), skeleton.count), np.float32)
         on_mesh[:, 0] = 1.0
-    return SimpleNamespace(weights=weights, report=report, previews=previews, mesh_weights=on_mesh)
+    return SimpleNamespace(
+        weights=weights, report=report, previews=previews, mesh_weights=on_mesh, confidence=None
+    )
 
 
 def main() -> int:

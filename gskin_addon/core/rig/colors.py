@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One colour per bone, for pictures of weights."""
+"""Colours for pictures of weights: one per bone, or a scale from blue to red."""
 
 from __future__ import annotations
 
@@ -25,3 +25,9 @@ def bone_colors(count: int) -> Array:
 def weight_colors(weights: Array) -> Array:
     """(N, 3) sRGB of weights (N, B): the bones' colours, mixed by their weights."""
     return np.asarray(weights, np.float64) @ bone_colors(weights.shape[1])
+
+
+def heat_colors(values: Array) -> Array:
+    """(N, 3) sRGB of values (N,): blue at 0 over green to red at 1, as Blender's Weight Paint has it."""
+    hue = 4.0 * (1.0 - np.clip(np.asarray(values, np.float64), 0.0, 1.0))
+    return np.clip(np.abs((hue[:, None] + [0, 4, 2]) % 6 - 3) - 1, 0, 1)

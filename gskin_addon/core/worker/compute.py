@@ -28,7 +28,8 @@ _LAST_RESORT = 2.0
 
 
 class Outcome(Protocol):
-    """What a pipeline returns: weights (N, B) with rows that sum to 1, a report, pictures by name."""
+    """What a pipeline returns: weights (N, B) with rows that sum to 1, a report, pictures by name; where there are
+    such, mesh_weights (V, B) of a proxy mesh and confidence (N,) in 0..1."""
 
     @property
     def weights(self) -> Any: ...
@@ -39,6 +40,8 @@ class Outcome(Protocol):
 
     @property
     def mesh_weights(self) -> Any: ...
+    @property
+    def confidence(self) -> Any: ...
 
 
 Pipeline = Callable[[Any, Any, dict[str, Any], Progress, Path], Outcome]
@@ -99,7 +102,9 @@ def run_job(
             seconds = time.monotonic() - started
             progress("write", 1.0, {}, "Writing the weights")
             report = {**outcome.report, "worker": {"seconds": round(seconds, 2), **_machine()}}
-            write_result(job, outcome.weights, report, outcome.previews, outcome.mesh_weights)
+            write_result(
+                job, outcome.weights, report, outcome.previews, outcome.mesh_weights, outcome.confidence
+            )
     send({"stage": "done", "fraction": 1.0, "seconds_left": 0.0, "losses": {}, "message": "Done"})
 
 

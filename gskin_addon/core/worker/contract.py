@@ -7,7 +7,7 @@ asked:
     skeleton.json   deform bones, world space (Skeleton.to_json)
 answered:
     weights.npz     weights (N,B) float32, rows sum to 1; bones (B,), heads (B,3), tails (B,3), parents (B,);
-                    with a proxy mesh also mesh_weights (V,B) of its vertices
+                    with a proxy mesh also mesh_weights (V,B) of its vertices; where known also confidence (N,)
     previews/*.png  pictures of the result
     report.json     what was done and measured; written last, so a folder with it is finished
 meanwhile:
@@ -69,6 +69,7 @@ class Result:
     bones: B names; heads, tails: (B, 3) metres, world space; parents: (B,) index, -1 for a root.
     report: numbers and words of report.json; previews: picture files by name.
     mesh_weights: (V, B) float32 of the proxy mesh's vertices, where the job had one.
+    confidence: (N,) float32 in 0..1, how sure the weights of each splat are, where the method knows.
     """
 
     weights: NDArray[np.float32]
@@ -79,6 +80,7 @@ class Result:
     report: dict[str, Any]
     previews: dict[str, Path]
     mesh_weights: NDArray[np.float32] | None = None
+    confidence: NDArray[np.float32] | None = None
 
 
 def write_job(
@@ -171,11 +173,12 @@ def write_weights(
     weights: NDArray[Any],
     skeleton: Skeleton,
     mesh_weights: NDArray[Any] | None = None,
+    confidence: NDArray[Any] | None = None,
 ) -> None:
-    """Write weights.npz: `weights` (N, B), `mesh_weights` (V, B), with the bones that they belong to.
+    """Write weights.npz: `weights` (N, B), `mesh_weights` (V, B), `confidence` (N,), with the bones they belong to.
 
     Raises:
-        ValueError: not (N, B), not finite, negative, or rows that do not sum to 1 (1e-3).
+        ValueError: not (N, B), not finite, negative, or rows that do not sum to 1 (1e-3); confidence not (N,) in 0..1.
         GSkinError: the file cannot be written.
     """
     arrays = {"weights": weights} if mesh_weights is None else {"weights": weights, "mesh_weights": mesh_weights}
@@ -183,6 +186,11 @@ def write_weights(
         fault = _fault_in(values, skeleton.count)
         if fault:
             raise ValueError(fault)
+    if confidence is not None:
+        fault = _fault_in_confidence(confidence, len(weights))
+        if fault:
+            raise ValueError(fault)
+        arrays["confidence"] = confidence
     write_arrays(
         Path(path),
         {
@@ -202,12 +210,15 @@ def read_weights(path: str | Path) -> Result:
         InputError: missing, damaged, or weights that are not (N, B) rows summing to 1.
     """
     path = Path(path)
-    arrays = _read_arrays(path, ("weights", *_RIG_ARRAYS), ("mesh_weights",))
-    on_mesh = arrays.get("mesh_weights")
+    arrays = _read_arrays(path, ("weights", *_RIG_ARRAYS), ("mesh_weights", "confidence"))
+    on_mesh, confidence = arrays.get("mesh_weights"), arrays.get("confidence")
     for values in (arrays["weights"], on_mesh):
         fault = "" if values is None else _fault_in(values, len(arrays["bones"]))
         if fault:
             raise InputError(f"'{path}' does not hold skinning weights ({fault}); make it again with gskin.")
+    fault = "" if confidence is None else _fault_in_confidence(confidence, len(arrays["weights"]))
+    if fault:
+        raise InputError(f"'{path}' has a damaged confidence ({fault}); make it again with gskin.")
     return Result(
         weights=arrays["weights"].astype(np.float32, copy=False),
         bones=tuple(str(name) for name in arrays["bones"]),
@@ -217,6 +228,7 @@ def read_weights(path: str | Path) -> Result:
         report={},
         previews={},
         mesh_weights=None if on_mesh is None else on_mesh.astype(np.float32, copy=False),
+        confidence=None if confidence is None else confidence.astype(np.float32, copy=False),
     )
 
 
@@ -226,11 +238,12 @@ def write_result(
     report: Mapping[str, Any],
     previews: Mapping[str, NDArray[Any]],
     mesh_weights: NDArray[Any] | None = None,
+    confidence: NDArray[Any] | None = None,
 ) -> None:
     """Write a job's answer: weights, pictures by name ((H, W, 3) in 0..1), and the report last of all."""
     if len(weights) != job.cloud.count:
         raise ValueError(f"{len(weights)} rows of weights for {job.cloud.count} splats")
-    write_weights(job.folder / WEIGHTS, weights, job.skeleton, mesh_weights)
+    write_weights(job.folder / WEIGHTS, weights, job.skeleton, mesh_weights, confidence)
     pictures = job.folder / PREVIEWS
     try:
         pictures.mkdir(exist_ok=True)
@@ -261,6 +274,7 @@ def read_result(folder: str | Path) -> Result:
         report=_read_json(folder / REPORT),
         previews=previews,
         mesh_weights=weights.mesh_weights,
+        confidence=weights.confidence,
     )
 
 
@@ -302,6 +316,12 @@ def _fault_in(weights: NDArray[Any], bones: int) -> str:
     if len(weights) and float(np.abs(weights.sum(axis=1, dtype=np.float64) - 1.0).max()) > 1e-3:
         return "rows that do not sum to 1"
     return ""
+
+
+def _fault_in_confidence(confidence: NDArray[Any], count: int) -> str:
+    if confidence.shape != (count,) or confidence.dtype.kind != "f":
+        return f"an array {confidence.shape} of {confidence.dtype} for {count} splats"
+    return "" if ((confidence >= 0) & (confidence <= 1)).all() else "values outside 0..1"
 
 
 def _read_text(path: Path) -> str:

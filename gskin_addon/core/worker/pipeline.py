@@ -46,12 +46,14 @@ INITIAL_END, GUIDANCE_END, OPTIMISE_END = 0.08, 0.2, 0.98
 @dataclass(frozen=True)
 class Outcome:
     """weights (N, B) float32, rows sum to 1; report: numbers and words; previews: images (H, W, 3) in [0, 1];
-    mesh_weights (V, B): of the proxy mesh's vertices, where the job has one."""
+    mesh_weights (V, B): of the proxy mesh's vertices, where the job has one; confidence (N,) in 0..1, where the
+    initial weights know how sure they are."""
 
     weights: NDArray[np.float32]
     report: dict[str, Any]
     previews: dict[str, NDArray[Any]]
     mesh_weights: NDArray[np.float32] | None = None
+    confidence: NDArray[np.float32] | None = None
 
 
 def run(

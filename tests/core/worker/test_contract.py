@@ -71,6 +71,20 @@ def test_bad_weights_are_not_written(tmp_path, spoil, words):
     assert not list(tmp_path.iterdir())
 
 
+def test_confidence_reads_back_and_is_checked(tmp_path):
+    rig = Skeleton(("a",), np.array([-1]), np.zeros((1, 3)), np.ones((1, 3)))
+    weights, confidence = np.ones((4, 1), np.float32), np.linspace(0, 1, 4, dtype=np.float32)
+    contract.write_weights(tmp_path / "w.npz", weights, rig, confidence=confidence)
+    np.testing.assert_array_equal(contract.read_weights(tmp_path / "w.npz").confidence, confidence)
+    for bad in (confidence[:3], confidence + 0.5, np.full(4, np.nan, np.float32)):
+        with pytest.raises(ValueError, match=r"for 4 splats|outside 0\.\.1"):
+            contract.write_weights(tmp_path / "w.npz", weights, rig, confidence=bad)
+    arrays = dict(np.load(tmp_path / "w.npz"))
+    np.savez(tmp_path / "w.npz", **{**arrays, "confidence": confidence * 2})
+    with pytest.raises(InputError, match="damaged confidence"):
+        contract.read_weights(tmp_path / "w.npz")
+
+
 def test_bad_weights_are_not_read(tmp_path):
     arrays = {"bones": np.array(["a"]), "heads": np.zeros((1, 3)), "tails": np.ones((1, 3)), "parents": [-1]}
     np.savez(tmp_path / "w.npz", weights=np.full((3, 1), 0.5, np.float32), **arrays)
