@@ -8,10 +8,9 @@ GSKIN_WARP_DEVICE=cpu for that (tests do).
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,34 +18,24 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
+from . import warp_batches
+from .backends import WARP_DEVICE
 from .camera import Camera
 from .cpu import DILATION, Array, ImageLoss, camera_vector, check_scene, check_splats
-from .photometric import PhotometricLoss
+from .warp_batches import in_batches
 from .warp_blend import LANES, blend, blend_backward
-from .warp_loss import loss_and_gradient
+from .warp_losses import image_losses
 from .warp_project import TILE, project, project_backward, sums6
 from .warp_tiles import find_starts, gather, list_pairs, record_t
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-DEVICE = "GSKIN_WARP_DEVICE"
-"""Environment variable that names another device than the first CUDA one."""
-
-PIXELS_AT_ONCE = 8 * 512 * 512
-"""Images are rendered together up to this many pixels: enough to fill a GPU, some 300 MB for the loss."""
-
-PAIRS_AT_ONCE = 24_000_000
-"""(splat, tile) pairs of one launch; each takes about 100 bytes."""
-
-
 def find_device() -> Any:
     """The device that scenes are prepared on. InputError if there is none."""
-    name = os.environ.get(DEVICE, "")
+    name = os.environ.get(WARP_DEVICE, "")
     if not name and not wp.is_cuda_available():
-        raise InputError(
-            'The rasteriser "warp" found no CUDA device; update the graphics driver, or choose the rasteriser "cpu".'
-        )
+        raise InputError("The rasteriser warp cannot use the CUDA device; update NVIDIA's driver, or choose cpu.")
     return wp.get_device(name or "cuda")
 
 
@@ -54,7 +43,6 @@ def find_device() -> Any:
 class Batch:
     """What a forward pass of P images leaves for its backward pass, all on the device."""
 
-    device: Any
     means: Any
     quats: Any
     cameras: Any
@@ -147,13 +135,13 @@ class WarpScene:
                 self._upload(m[part].reshape(-1, 3), wp.vec3), self._upload(q[part].reshape(-1, 4), wp.vec4),
                 cameras[part], background, self._colors,
             )  # fmt: skip
-            values[part], grad_image = _image_losses(batch, losses[part])
+            values[part], grad_image = image_losses(batch.image, batch.alpha, losses[part])
             grads = self._backward(batch, grad_image, None)
             grad_means[part], grad_quats[part] = (
                 g.numpy().reshape(-1, self.count, width) for g, width in zip(grads, (3, 4), strict=True)
             )
 
-        _in_batches(cameras, step)
+        in_batches(cameras, step)
         return values, grad_means, grad_quats
 
     def render_and_grad_tensors(
@@ -177,12 +165,12 @@ class WarpScene:
                 for t in (m, q, grad_means, grad_quats)
             ]
             batch = self._forward(view[0], view[1], cameras[part], background, self._colors)
-            values[part], grad_image = _image_losses(batch, losses[part])
+            values[part], grad_image = image_losses(batch.image, batch.alpha, losses[part])
             self._backward(batch, grad_image, None, (view[2], view[3]))
 
         # Warp and torch have streams of their own; in torch's, each sees what the other did before.
         with wp.ScopedStream(wp.stream_from_torch(torch.cuda.current_stream(m.device)) if m.is_cuda else None):
-            _in_batches(cameras, step)
+            in_batches(cameras, step)
         return values, grad_means, grad_quats
 
     @property
@@ -199,7 +187,7 @@ class WarpScene:
         )
         return most.numpy()
 
-    def _upload(self, array: Array, dtype: Any) -> Any:
+    def _upload(self, array: NDArray[Any], dtype: Any) -> Any:
         return wp.array(array, dtype=dtype, device=self.device)
 
     def _empty(self, count: int | tuple[int, ...], dtype: Any) -> Any:
@@ -233,8 +221,8 @@ class WarpScene:
         if total:
             wp.utils.array_scan(tiles, last_slot, inclusive=True)
             pairs = int(last_slot[total - 1 :].numpy()[0])
-        if pairs > PAIRS_AT_ONCE and (poses > 1 or pairs >= 2**30):
-            raise _TooManyPairs
+        if pairs > warp_batches.PAIRS_AT_ONCE and (poses > 1 or pairs >= 2**30):
+            raise warp_batches.TooManyPairs
         keys, slots = self._empty(2 * pairs, wp.int64), self._empty(2 * pairs, wp.int32)  # the sort wants twice
         owner, records = self._empty(pairs, wp.int32), self._empty(pairs, record_t)
         start = wp.zeros(tile_count + 1, dtype=wp.int32, device=self.device)
@@ -247,7 +235,8 @@ class WarpScene:
             self._launch(
                 gather, pairs, [n, columns, rows, keys, slots, owner, pixels, conic, reach, colors], [records]
             )
-        image, alpha = self._empty((poses, height, width, 3), wp.float32), self._empty((poses, height, width), wp.float32)
+        shape = poses, height, width
+        image, alpha = self._empty((*shape, 3), wp.float32), self._empty(shape, wp.float32)
         if most is None:
             most = self._empty(0, wp.float32)
         self._launch(
@@ -255,9 +244,7 @@ class WarpScene:
             [columns, rows, width, height, start, records, wp.vec3(*map(float, np.asarray(background))), slots, owner],
             [image, alpha, most],
         )  # fmt: skip
-        return Batch(
-            self.device, means, quats, views, last_slot, tiles, start, records, slots, pairs, image, alpha
-        )
+        return Batch(means, quats, views, last_slot, tiles, start, records, slots, pairs, image, alpha)
 
     def _backward(self, batch: Batch, grad_image: Any, grad_alpha: Any, out: Any = None) -> tuple[Any, Any]:
         """Gradients (P*N,) on the device; written to `out` where given."""
@@ -284,47 +271,6 @@ class WarpScene:
     def _launch(self, kernel: Any, threads: int, inputs: list[Any], outputs: list[Any]) -> None:
         # 128 threads are four whole warps, so a tile's 32 threads are one warp's lanes.
         wp.launch(kernel, threads, inputs=inputs, outputs=outputs, device=self.device, block_dim=128)
-
-
-class _TooManyPairs(Exception):
-    """A batch that covers too many tiles for one launch."""
-
-
-def _in_batches(cameras: Sequence[Camera], step: Callable[[slice], None]) -> None:
-    """step(part) for parts of the cameras, each of one image size and not too large; halved where it proves so."""
-    todo, first = [], 0
-    for size, group in groupby(cameras, lambda camera: camera.size):
-        last = first + len(list(group))
-        most = max(1, PIXELS_AT_ONCE // (size[0] * size[1]))
-        todo += [slice(lo, min(lo + most, last)) for lo in range(first, last, most)]
-        first = last
-    todo.reverse()
-    while todo:
-        part = todo.pop()
-        try:
-            step(part)
-        except _TooManyPairs:
-            middle = (part.start + part.stop) // 2
-            if middle == part.start:
-                raise InputError(
-                    "The splats cover too many tiles of one image for the GPU; take a smaller image size or remove "
-                    "giant splats."
-                ) from None
-            todo += [slice(middle, part.stop), slice(part.start, middle)]
-
-
-def _image_losses(batch: Batch, losses: Sequence[ImageLoss]) -> tuple[NDArray[np.float64], Any]:
-    """Values (P,) and the gradient to the images (P,H,W,3), on the device."""
-    device, shape = batch.device, batch.image.shape
-    photometric = [loss for loss in losses if isinstance(loss, PhotometricLoss)]
-    if len(photometric) == len(losses):
-        for loss in photometric:
-            loss.check(shape[1:])
-        rows, grad = loss_and_gradient(batch.image, photometric, device)
-        return rows.numpy().sum(axis=1) / np.prod(shape[1:]), grad
-    pairs = [loss(*view) for loss, *view in zip(losses, batch.image.numpy(), batch.alpha.numpy(), strict=True)]
-    grads = np.stack([np.asarray(grad, np.float32) for _, grad in pairs])
-    return np.array([value for value, _ in pairs], np.float64), wp.array(grads, dtype=wp.float32, device=device)
 
 
 def prepare(

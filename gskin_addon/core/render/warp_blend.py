@@ -8,8 +8,6 @@ no atomics, and the same numbers in every run. On the "cpu" device the 32 lanes 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 import warp as wp
 
 from .warp_project import TILE, Floats, Ints, Sums, sums6
@@ -23,11 +21,7 @@ PIXELS = TILE * TILE // LANES
 
 lane_t = wp.types.vector(length=PIXELS, dtype=wp.float32)
 
-if TYPE_CHECKING:
-    Images = Masks = Any
-else:
-    Images = wp.array4d(dtype=wp.float32)
-    Masks = wp.array3d(dtype=wp.float32)
+Images, Masks = wp.array4d(dtype=wp.float32), wp.array3d(dtype=wp.float32)
 
 _TILE, _LANES, _PIXELS = wp.constant(TILE), wp.constant(LANES), wp.constant(PIXELS)
 _LN_CUT = wp.constant(wp.float32(-5.541263545158426))
@@ -43,7 +37,7 @@ _T_MIN = wp.constant(wp.float32(1e-4))
 #endif
     return total;
 """)
-def lane_sum(value: wp.float32) -> wp.float32: ...  # type: ignore[empty-body]
+def lane_sum(value: wp.float32) -> wp.float32: ...
 
 
 @wp.func_native("""
@@ -53,7 +47,7 @@ def lane_sum(value: wp.float32) -> wp.float32: ...  # type: ignore[empty-body]
     return value;
 #endif
 """)
-def lane_any(value: wp.int32) -> wp.int32: ...  # type: ignore[empty-body]
+def lane_any(value: wp.int32) -> wp.int32: ...
 
 
 @wp.func_native("""
@@ -63,11 +57,11 @@ def lane_any(value: wp.int32) -> wp.int32: ...  # type: ignore[empty-body]
     return 1;
 #endif
 """)
-def lane_writes(lane: wp.int32) -> wp.int32: ...  # type: ignore[empty-body]
+def lane_writes(lane: wp.int32) -> wp.int32: ...
 
 
 @wp.func
-def open_pixels(x: int, y: int, width: int, height: int):  # type: ignore[no-untyped-def]
+def open_pixels(x: int, y: int, width: int, height: int):
     """Transmittance 1 of a thread's pixels within the image, -1 (stopped) outside."""
     T = lane_t()
     for k in range(_PIXELS):

@@ -7,8 +7,6 @@ float64 has time for. Images of a batch (P) have one size; a camera is a row of 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 import warp as wp
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": True})
@@ -17,17 +15,12 @@ mat23d = wp.types.matrix(shape=(2, 3), dtype=wp.float64)
 sums6 = wp.types.vector(length=6, dtype=wp.float32)
 """Sums over pixels of v, v dx, v dy, v dx^2, v dx dy, v dy^2; see cpu_project.project_backward."""
 
-if TYPE_CHECKING:
-    Cameras = Floats = Longs = Vec3s = Vec4s = Vec2ds = Vec4is = Ints = Sums = Any
-    double = Any
-else:
-    Cameras = wp.array2d(dtype=wp.float64)
-    Floats = wp.array(dtype=wp.float32)
-    Ints, Longs = wp.array(dtype=wp.int32), wp.array(dtype=wp.int64)
-    Vec3s, Vec4s = wp.array(dtype=wp.vec3), wp.array(dtype=wp.vec4)
-    Vec2ds, Vec4is = wp.array(dtype=wp.vec2d), wp.array(dtype=wp.vec4i)
-    Sums = wp.array(dtype=sums6)
-    double = wp.float64
+double = wp.float64
+Cameras = wp.array2d(dtype=wp.float64)
+Floats, Ints, Longs = wp.array(dtype=wp.float32), wp.array(dtype=wp.int32), wp.array(dtype=wp.int64)
+Vec3s, Vec4s = wp.array(dtype=wp.vec3), wp.array(dtype=wp.vec4)
+Vec2ds, Vec4is = wp.array(dtype=wp.vec2d), wp.array(dtype=wp.vec4i)
+Sums = wp.array(dtype=sums6)
 
 TILE = 16
 """Pixels along the side of a tile: one warp of 32 threads has eight pixels each."""
@@ -38,7 +31,7 @@ _TILE = wp.constant(TILE)
 
 
 @wp.func
-def camera_rotation(cameras: Cameras, p: int):  # type: ignore[no-untyped-def]
+def camera_rotation(cameras: Cameras, p: int):
     """World to camera axes."""
     return wp.mat33d(
         cameras[p, 0], cameras[p, 1], cameras[p, 2], cameras[p, 3], cameras[p, 4], cameras[p, 5], cameras[p, 6],
@@ -47,14 +40,14 @@ def camera_rotation(cameras: Cameras, p: int):  # type: ignore[no-untyped-def]
 
 
 @wp.func
-def camera_point(mean: wp.vec3, cameras: Cameras, p: int):  # type: ignore[no-untyped-def]
+def camera_point(mean: wp.vec3, cameras: Cameras, p: int):
     """The mean in camera axes."""
     here = wp.vec3d(double(mean[0]), double(mean[1]), double(mean[2]))
     return camera_rotation(cameras, p) @ here + wp.vec3d(cameras[p, 9], cameras[p, 10], cameras[p, 11])
 
 
 @wp.func
-def unit_quat(quat: wp.vec4):  # type: ignore[no-untyped-def]
+def unit_quat(quat: wp.vec4):
     """(unit quaternion wxyz, 1 / the norm it had; 0 if it cannot be normalised)."""
     q = wp.vec4d(double(quat[0]), double(quat[1]), double(quat[2]), double(quat[3]))
     norm = wp.length(q)
@@ -65,7 +58,7 @@ def unit_quat(quat: wp.vec4):  # type: ignore[no-untyped-def]
 
 
 @wp.func
-def rotation(q: wp.vec4d):  # type: ignore[no-untyped-def]
+def rotation(q: wp.vec4d):
     """Rotation matrix of a unit quaternion wxyz."""
     w = q[0]
     x = q[1]
@@ -81,7 +74,7 @@ def rotation(q: wp.vec4d):  # type: ignore[no-untyped-def]
 
 
 @wp.func
-def slopes(point: wp.vec3d, cameras: Cameras, p: int):  # type: ignore[no-untyped-def]
+def slopes(point: wp.vec3d, cameras: Cameras, p: int):
     """(x / z, y / z), clamped to a little beyond the image: for the Jacobian only, as INRIA and gsplat do."""
     iz = double(1.0) / point[2]
     u = wp.clamp(point[0] * iz, cameras[p, 16], cameras[p, 17])
@@ -90,7 +83,7 @@ def slopes(point: wp.vec3d, cameras: Cameras, p: int):  # type: ignore[no-untype
 
 
 @wp.func
-def jacobian(point: wp.vec3d, u: wp.float64, v: wp.float64, cameras: Cameras, p: int):  # type: ignore[no-untyped-def]
+def jacobian(point: wp.vec3d, u: wp.float64, v: wp.float64, cameras: Cameras, p: int):
     """T = J W: how world directions at the mean move pixels."""
     iz = double(1.0) / point[2]
     fx = cameras[p, 12] * iz
@@ -101,7 +94,7 @@ def jacobian(point: wp.vec3d, u: wp.float64, v: wp.float64, cameras: Cameras, p:
 
 
 @wp.func
-def spread(T: mat23d, R: wp.mat33d, scale: wp.vec3):  # type: ignore[no-untyped-def,valid-type]
+def spread(T: mat23d, R: wp.mat33d, scale: wp.vec3):
     """U = T R diag(s), whose square is the image covariance."""
     U = T @ R
     s0 = double(scale[0])
@@ -111,7 +104,7 @@ def spread(T: mat23d, R: wp.mat33d, scale: wp.vec3):  # type: ignore[no-untyped-
 
 
 @wp.func
-def covariance(U: mat23d, dilation: wp.float64):  # type: ignore[no-untyped-def,valid-type]
+def covariance(U: mat23d, dilation: wp.float64):
     """(xx, xy, yy, determinant) of U U^T + dilation; the determinant as a sum without cancellation."""
     a = wp.vec3d(U[0, 0], U[0, 1], U[0, 2])
     b = wp.vec3d(U[1, 0], U[1, 1], U[1, 2])
@@ -151,7 +144,7 @@ def project(
         return
     opacity = double(opacities[i])
     if cameras[p, 21] >= double(0.0):
-        exx, exy, eyy, edet = covariance(U, cameras[p, 21])
+        _xx, _xy, _yy, edet = covariance(U, cameras[p, 21])
         opacity = opacity * wp.sqrt(edet / det)
         if opacity < _CUT_D:
             return
@@ -179,7 +172,7 @@ def project(
 
 
 @wp.func
-def quat_gradient(G: wp.mat33d, q: wp.vec4d, inverse: wp.float64):  # type: ignore[no-untyped-def]
+def quat_gradient(G: wp.mat33d, q: wp.vec4d, inverse: wp.float64):
     """From G = dL/dR to the gradient to the quaternion that was normalised to q (`inverse` = 1 / its norm)."""
     w = q[0]
     x = q[1]

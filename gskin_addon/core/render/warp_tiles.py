@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
 import warp as wp
 
 from .warp_project import TILE, Floats, Ints, Longs, Vec2ds, Vec3s, Vec4is, Vec4s
@@ -16,10 +14,7 @@ RECORD = 10
 
 record_t = wp.types.vector(length=RECORD, dtype=wp.float32)
 
-if TYPE_CHECKING:
-    Records = Any
-else:
-    Records = wp.array(dtype=record_t)
+Records = wp.array(dtype=record_t)
 
 _TILE = wp.constant(TILE)
 
