@@ -32,22 +32,22 @@ class Backend:
 
 
 @lru_cache(maxsize=1)
-def cuda_devices() -> int:
-    """How many CUDA devices the driver offers; asks the driver only, so that neither torch nor Warp is loaded."""
+def cuda_device() -> str:
+    """Name of the first CUDA device, "" if there is none; asks the driver, so that neither torch nor Warp is loaded."""
     try:
         driver = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
     except OSError:
-        return 0
-    count = ctypes.c_int(0)
-    if driver.cuInit(0) != 0 or driver.cuDeviceGetCount(ctypes.byref(count)) != 0:
-        return 0
-    return count.value
+        return ""
+    device, name = ctypes.c_int(0), ctypes.create_string_buffer(256)
+    if driver.cuInit(0) or driver.cuDeviceGet(ctypes.byref(device), 0) or driver.cuDeviceGetName(name, 256, device):
+        return ""
+    return name.value.decode(errors="replace") or "a CUDA device"
 
 
 def _lacks_warp() -> str:
     if importlib.util.find_spec("warp") is None:
         return f"The rasteriser warp needs a module; install it with: {sys.executable} -m pip install warp-lang"
-    if not os.environ.get(WARP_DEVICE) and not cuda_devices():
+    if not os.environ.get(WARP_DEVICE) and not cuda_device():
         return "The rasteriser warp found no CUDA device; install NVIDIA's driver, or choose cpu."
     return ""
 
@@ -55,7 +55,7 @@ def _lacks_warp() -> str:
 def _lacks_gsplat() -> str:
     if importlib.util.find_spec("gsplat") is None:
         return f"The rasteriser gsplat is not installed; install it with: {sys.executable} -m pip install gsplat"
-    if not cuda_devices():
+    if not cuda_device():
         return "The rasteriser gsplat found no CUDA device; install NVIDIA's driver, or choose cpu."
     import torch
 
@@ -97,7 +97,7 @@ def choose_backend(name: str = AUTO) -> tuple[str, str]:
 
 @lru_cache(maxsize=1)
 def _auto() -> tuple[str, str]:
-    if not cuda_devices():
+    if not cuda_device():
         if sys.platform == "darwin" and platform.machine() == "arm64":
             return "cpu", "Splats are drawn by the processor: there is no rasteriser for Apple's GPU."
         return "cpu", ""
@@ -107,7 +107,7 @@ def _auto() -> tuple[str, str]:
             continue
         why = _disagreement(name)
         if not why:
-            return name, ""
+            return name, f"Splats are drawn by {cuda_device()} with {name}."
     return "cpu", why or "A GPU is not used: " + _lacks_warp()
 
 

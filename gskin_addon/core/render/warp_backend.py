@@ -31,6 +31,9 @@ from .warp_tiles import find_starts, gather, list_pairs, record_t
 if TYPE_CHECKING:
     from torch import Tensor
 
+wp.config.quiet = True
+
+
 def find_device() -> Any:
     """The device that scenes are prepared on. InputError if there is none."""
     name = os.environ.get(WARP_DEVICE, "")

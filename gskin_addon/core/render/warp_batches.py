@@ -21,9 +21,9 @@ class TooManyPairs(Exception):
 
 
 def in_batches(cameras: Sequence[Camera], step: Callable[[slice], None]) -> None:
-    """step(part) for parts of the cameras, each of one image size and not too large; halved where it proves so."""
+    """step(part) for parts of the cameras, each of one image size and near plane; halved where it proves too large."""
     todo, first = [], 0
-    for size, group in groupby(cameras, lambda camera: camera.size):
+    for (size, _), group in groupby(cameras, lambda camera: (camera.size, camera.near)):
         last = first + len(list(group))
         most = max(1, PIXELS_AT_ONCE // (size[0] * size[1]))
         todo += [slice(lo, min(lo + most, last)) for lo in range(first, last, most)]
