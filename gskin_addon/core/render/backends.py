@@ -18,6 +18,9 @@ from ..errors import InputError
 AUTO = "auto"
 """Stands for the fastest rasteriser that this machine can use."""
 
+TRUST = 5e-3
+"""Largest relative difference from the CPU on a small scene; a faulty driver or kernel is off by far more."""
+
 WARP_DEVICE = "GSKIN_WARP_DEVICE"
 """Environment variable that names another Warp device than the first CUDA one; "cpu" for tests."""
 
@@ -128,6 +131,6 @@ def _disagreement(name: str) -> str:
     except Exception as error:  # whatever a driver or a kernel raises, the CPU can do the work
         lines = str(error).strip().splitlines() or [type(error).__name__]
         return f"The GPU is not used, because the rasteriser {name} failed on it: {lines[0][:200]}"
-    if worst > 1e-3:
+    if worst > TRUST:
         return f"The GPU is not used, because the rasteriser {name} draws other pictures on it than the processor."
     return ""

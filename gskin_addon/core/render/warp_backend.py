@@ -18,11 +18,11 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
-from . import warp_batches
+from . import batches
 from .backends import WARP_DEVICE
+from .batches import in_batches
 from .camera import Camera
 from .cpu import DILATION, Array, ImageLoss, camera_vector, check_scene, check_splats
-from .warp_batches import in_batches
 from .warp_blend import LANES, blend, blend_backward
 from .warp_losses import image_losses
 from .warp_project import TILE, project, project_backward, sums6
@@ -30,9 +30,6 @@ from .warp_tiles import find_starts, gather, list_pairs, record_t
 
 if TYPE_CHECKING:
     from torch import Tensor
-
-wp.config.quiet = True
-
 
 def find_device() -> Any:
     """The device that scenes are prepared on. InputError if there is none."""
@@ -224,8 +221,8 @@ class WarpScene:
         if total:
             wp.utils.array_scan(tiles, last_slot, inclusive=True)
             pairs = int(last_slot[total - 1 :].numpy()[0])
-        if pairs > warp_batches.PAIRS_AT_ONCE and (poses > 1 or pairs >= 2**30):
-            raise warp_batches.TooManyPairs
+        if pairs > batches.PAIRS_AT_ONCE and (poses > 1 or pairs >= 2**30):
+            raise batches.TooManyPairs
         keys, slots = self._empty(2 * pairs, wp.int64), self._empty(2 * pairs, wp.int32)  # the sort wants twice
         owner, records = self._empty(pairs, wp.int32), self._empty(pairs, record_t)
         start = wp.zeros(tile_count + 1, dtype=wp.int32, device=self.device)

@@ -13,7 +13,7 @@ import warp as wp
 from .warp_project import TILE, Floats, Ints, Sums, sums6
 from .warp_tiles import Records
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": True})
+wp.set_module_options({"enable_backward": False})
 
 LANES = 32
 PIXELS = TILE * TILE // LANES

@@ -13,7 +13,7 @@ from .image_metrics import C1, C2, WINDOW
 from .warp_blend import Images
 from .warp_project import Floats
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": True})
+wp.set_module_options({"enable_backward": False})
 
 moments_t = wp.types.vector(length=5, dtype=wp.float32)
 window_t = wp.types.vector(length=WINDOW, dtype=wp.float32)

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import warp as wp
 
-wp.set_module_options({"enable_backward": False, "fuse_fp": True})
+wp.config.log_level = wp.LOG_WARNING  # no banner: a worker's output belongs to the job
+wp.set_module_options({"enable_backward": False})
 
 mat23d = wp.types.matrix(shape=(2, 3), dtype=wp.float64)
 sums6 = wp.types.vector(length=6, dtype=wp.float32)

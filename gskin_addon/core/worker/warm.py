@@ -85,10 +85,13 @@ def _limb() -> tuple[SplatCloud, Skeleton, np.ndarray[Any, Any], np.ndarray[Any,
     """Splats on a tube with two bones along x, and the tube's mesh: verts (V, 3), faces (F, 3)."""
     rng = np.random.default_rng(0)
     x, angle = rng.uniform(0, 2, _SPLATS), rng.uniform(0, 2 * np.pi, _SPLATS)
-    means = np.stack([x, 0.15 * np.cos(angle), 0.15 * np.sin(angle)], axis=1)
-    scales = np.full((_SPLATS, 3), 0.03)
-    sh = rng.normal(0, 0.3, (_SPLATS, 4, 3))
-    cloud = SplatCloud(means, rng.normal(size=(_SPLATS, 4)), scales, np.full(_SPLATS, 0.9), sh)
+    cloud = SplatCloud(
+        np.stack([x, 0.15 * np.cos(angle), 0.15 * np.sin(angle)], axis=1).astype(np.float32),
+        rng.normal(size=(_SPLATS, 4)).astype(np.float32),
+        np.full((_SPLATS, 3), 0.03, np.float32),
+        np.full(_SPLATS, 0.9, np.float32),
+        rng.normal(0, 0.3, (_SPLATS, 4, 3)).astype(np.float32),
+    )
     heads = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     skeleton = Skeleton(("upper", "lower"), np.array([-1, 0]), heads, heads + (1.0, 0.0, 0.0))
     along, around = np.meshgrid(

@@ -123,7 +123,7 @@ def test_tensors_give_what_arrays_give() -> None:
 
 
 def test_mixed_sizes_small_batches_and_losses_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
-    from gskin_addon.core.render import warp_batches
+    from gskin_addon.core.render import batches
 
     (means, quats, *constant), cameras = body(60)
     cameras = [*cameras, cameras[0].resized(40), cameras[1].resized(40)]
@@ -141,7 +141,7 @@ def test_mixed_sizes_small_batches_and_losses_of_ones_own(monkeypatch: pytest.Mo
     for mine, theirs in zip(found, wanted, strict=True):
         assert relative(mine, theirs) < 1e-4
     one = scene.forward(means, quats, cameras[0]).batch.pairs
-    monkeypatch.setattr(warp_batches, "PAIRS_AT_ONCE", one)
+    monkeypatch.setattr(batches, "PAIRS_AT_ONCE", one)
     halved = scene.render_and_grad_many(*arrays, cameras, losses)
     for mine, theirs in zip(halved, found, strict=True):
         assert np.array_equal(mine, theirs)
