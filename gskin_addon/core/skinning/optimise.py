@@ -11,15 +11,17 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ..render.backends import AUTO, resolve_backend
 from ..render.camera import Camera
-from ..render.cpu import DILATION, ImageLoss
-from ..render.photometric import Box, content_box, photometric_loss
+from ..render.cpu import DILATION
+from ..render.photometric import Box, PhotometricLoss, content_box, photometric_loss
 from ..render.rasterizer import Scene, prepare, view_colors
 from ..rig.skeleton import Skeleton
 from ..splats.cloud import SplatCloud
 from .arap import arap_loss
 from .coupling import coupling_loss, prepare_coupling
 from .fields.base import WeightField
+from .on_device import DeviceRenderer, Views, tensor_device
 from .posers import Poser, SplatPoser
 from .presets import Preset
 
@@ -70,6 +72,7 @@ class Optimiser:
         losses: LossWeights = LossWeights(),
         seed: int = 0,
         background: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        rasterizer: str = AUTO,
     ) -> None:
         self.field, self.targets, self.preset, self.losses = field, targets, preset, losses
         self.iteration = 0
@@ -83,6 +86,9 @@ class Optimiser:
         self._nodes = torch.from_numpy(nodes)
         self._scenes: dict[tuple[bytes, int], Scene] = {}
         self._boxes: dict[tuple[int, int], Box] = {}
+        self.rasterizer = resolve_backend(rasterizer)
+        self._kept_losses: dict[tuple[int, int], PhotometricLoss] = {}
+        self._on_device = self._device_renderer()
         self._coupling = prepare_coupling(nodes, skeleton)
         step = max(1, len(nodes) // 5000)
         edges = nodes[self._neighbours[::step]] - nodes[::step, None]
@@ -96,12 +102,14 @@ class Optimiser:
         batch = [self._next_target() for _ in range(min(self.preset.batch, len(self.targets)))]
         transforms = np.stack([self.targets[i].transforms for i in batch])
         weights = self.field()
-        posed = self._poser.pose(weights, transforms)
-        render: torch.Tensor = _Render.apply(  # type: ignore[no-untyped-call]
-            posed.means, posed.quats, self, batch, size
-        )
-        coupling = coupling_loss(self._coupling, posed.nodes, transforms)
-        arap = self._arap(posed.nodes)
+        if self._on_device is not None:
+            render, nodes = self._on_device(weights, transforms, self._views(batch, size))
+        else:
+            posed = self._poser.pose(weights, transforms)
+            nodes = posed.nodes
+            render = _Render.apply(posed.means, posed.quats, self, batch, size)  # type: ignore[no-untyped-call]
+        coupling = coupling_loss(self._coupling, nodes, transforms)
+        arap = self._arap(nodes)
         loss = render + self.losses.arap * arap + self.losses.coupling * coupling
         self._adam.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
@@ -160,26 +168,34 @@ class Optimiser:
 
         Targets that share a scene (all, for splats without view-dependent colour) are rendered side by side.
         """
-        groups: dict[int, list[int]] = {}
-        scenes: dict[int, Scene] = {}
-        for slot, index in enumerate(batch):
-            scene = self._scene(self.targets[index].camera, size)
-            scenes[id(scene)] = scene
-            groups.setdefault(id(scene), []).append(slot)
         total = 0.0
         grad_means, grad_quats = np.empty_like(means), np.empty_like(quats)
-        for key, slots in groups.items():
-            targets = [self.targets[batch[slot]] for slot in slots]
-            values, grad_means[slots], grad_quats[slots] = scenes[key].render_and_grad_many(
-                means[slots],
-                quats[slots],
-                [target.camera.resized(size) for target in targets],
-                [self._loss(batch[slot], size) for slot in slots],
-                self._background,
+        for views in self._views(batch, size):
+            values, grad_means[views.slots], grad_quats[views.slots] = views.scene.render_and_grad_many(
+                means[views.slots], quats[views.slots], views.cameras, views.losses, self._background
             )
             total += float(values.sum())
         count = len(batch)
         return total / count, grad_means / count, grad_quats / count
+
+    def _views(self, batch: Sequence[int], size: int) -> list[Views]:
+        """The targets `batch` by the scene that they share."""
+        found: dict[int, Views] = {}
+        for slot, index in enumerate(batch):
+            camera = self.targets[index].camera
+            scene = self._scene(camera, size)
+            views = found.setdefault(id(scene), Views(scene, [], [], []))
+            views.slots.append(slot)
+            views.cameras.append(camera.resized(size))
+            views.losses.append(self._loss(index, size))
+        return list(found.values())
+
+    def _device_renderer(self) -> DeviceRenderer | None:
+        """For vanilla splats and a rasteriser that takes torch tensors."""
+        if self.rasterizer == "cpu" or not self.targets or not isinstance(self._poser, SplatPoser):
+            return None
+        device = tensor_device(self._scene(self.targets[0].camera, self._size_now()))
+        return None if device is None else DeviceRenderer(self._cloud, device, self._background)
 
     def _scene(self, camera: Camera, size: int) -> Scene:
         """The splats as seen in rest pose by a camera; their colours are constants of the optimisation."""
@@ -189,11 +205,25 @@ class Optimiser:
             # Small renders would be blurrier than averaged guidance: correct the opacity for the filter.
             compensate = None if size == full else DILATION * (size / full) ** 2
             self._scenes[key] = prepare(
-                cloud.scales, view_colors(cloud, camera), cloud.opacities, compensate=compensate
+                cloud.scales,
+                view_colors(cloud, camera),
+                cloud.opacities,
+                compensate=compensate,
+                backend=self.rasterizer,
             )
         return self._scenes[key]
 
-    def _loss(self, index: int, size: int) -> ImageLoss:
+    def _loss(self, index: int, size: int) -> PhotometricLoss:
+        """The loss of a guidance image; kept while `size` lasts where its image stays on a device with it."""
+        if self._on_device is None:
+            return self._make_loss(index, size)
+        key = (index, size)
+        if key not in self._kept_losses:
+            self._kept_losses = {k: loss for k, loss in self._kept_losses.items() if k[1] == size}
+            self._kept_losses[key] = self._make_loss(index, size)
+        return self._kept_losses[key]
+
+    def _make_loss(self, index: int, size: int) -> PhotometricLoss:
         """The photometric loss of a guidance image, box-averaged where it was made larger than `size`."""
         image: NDArray[Any] = self.targets[index].image
         factor = image.shape[0] // size

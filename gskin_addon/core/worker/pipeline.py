@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ..guidance import create_provider
 from ..guidance.control import ControlSignal, make_signals
 from ..guidance.provider import GuidanceContext
+from ..render.backends import choose_backend
 from ..render.camera import paper_views, percentile_bounds
 from ..render.rasterizer import render_cloud
 from ..rig.lbs import sparsify
@@ -75,7 +76,8 @@ def run(
     preset = preset_by_name(chosen.preset)
     field_name = preset.field if chosen.field == PRESET_FIELD else chosen.field
     clock = _Clock()
-    progress("initial", 0.0, {}, "Preparing the splats")
+    rasterizer, remark = choose_backend(chosen.rasterizer)
+    progress("initial", 0.0, {}, remark or "Preparing the splats")
     whole, skeleton = _to_unit_size(cloud, skeleton)
     hygiene = Hygiene.parse(chosen.hygiene)
     ignored, bad_counts = hygiene.find(whole)
@@ -110,7 +112,15 @@ def run(
     else:
         poser, field = proxy.poser(subset), create_field(field_name, proxy.verts, nodes, chosen.field_options)
     optimiser = Optimiser(
-        subset.cloud, skeleton, field, targets, preset, poser=poser, losses=LossWeights(), seed=chosen.seed
+        subset.cloud,
+        skeleton,
+        field,
+        targets,
+        preset,
+        poser=poser,
+        losses=LossWeights(),
+        seed=chosen.seed,
+        rasterizer=rasterizer,
     )
     losses = _optimise(optimiser, preset.iterations, progress, checkpoint)
     clock.lap("optimise")
@@ -129,6 +139,7 @@ def run(
     report = {
         "settings": chosen.as_dict(),
         "field": field_name,
+        "rasterizer": {"name": rasterizer, "remark": remark},
         "splats": whole.count,
         "splats_optimised": subset.cloud.count,
         "hygiene": {**bad_counts, **needle_counts},

@@ -10,6 +10,7 @@ from typing import Any
 
 from ..errors import InputError
 from ..guidance import DEFAULT_GUIDANCE, GUIDANCE
+from ..render.backends import AUTO, BACKENDS
 from ..skinning.fields import WEIGHT_FIELDS
 from ..skinning.initial import INITIAL_WEIGHTS
 from ..skinning.presets import DEFAULT_PRESET, PRESETS
@@ -35,7 +36,8 @@ class JobSettings:
     no limit; seed: of all randomness; front: a key of FRONTS; options: the guidance provider's own;
     field: a name in WEIGHT_FIELDS or PRESET_FIELD; field_options: the weight field's own; mesh: file of a
     proxy mesh in the same world space, whose vertices get the weights and carry the splats, a path or a name in
-    the job's folder; empty for none; hygiene: what to do about bad splats, see `Hygiene`.
+    the job's folder; empty for none; hygiene: what to do about bad splats, see `Hygiene`; rasterizer: a name in
+    BACKENDS, or "auto" for the fastest that works here.
     """
 
     preset: str = DEFAULT_PRESET
@@ -49,6 +51,7 @@ class JobSettings:
     field_options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     mesh: str = ""
     hygiene: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    rasterizer: str = AUTO
 
     @classmethod
     def parse(cls, values: Mapping[str, Any]) -> JobSettings:
@@ -70,6 +73,7 @@ class JobSettings:
             ("init", INITIAL_WEIGHTS),
             ("front", FRONTS),
             ("field", (PRESET_FIELD, *WEIGHT_FIELDS)),
+            ("rasterizer", (AUTO, *BACKENDS)),
         ):
             value = getattr(settings, name)
             if value not in choices:
