@@ -128,10 +128,10 @@ class Bomb:
 def test_code_in_a_pickle_is_not_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("bomb.pt").write_bytes(pickle.dumps({"a": Bomb()}))
-    with pytest.raises(InputError, match="bomb.pt' cannot be read as plain weights"):
+    with pytest.raises(InputError, match=r"bomb\.pt' cannot be read as plain weights"):
         load_tensors(Path("bomb.pt"), "toy weights")
     torch.save({"a": Bomb()}, "bomb2.pt")
-    with pytest.raises(InputError, match="bomb2.pt' cannot be read as plain weights"):
+    with pytest.raises(InputError, match=r"bomb2\.pt' cannot be read as plain weights"):
         load_tensors(Path("bomb2.pt"), "toy weights")
     assert not Path("went-off").exists()
 
