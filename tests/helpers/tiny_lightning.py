@@ -12,29 +12,30 @@ import torch
 CONTEXT, WIDTHS, POINT_WIDTH, CLIP_WIDTH = 16, (8, 16, 32, 32), 2, 12
 
 
-def tiny_unet(channels: int) -> Any:
-    """A UNet with the blocks of Stable Diffusion 1.5: 32 attentions, 686 tensors."""
+def tiny_unet(channels: int, layers: int = 2, widths: tuple[int, ...] = WIDTHS) -> Any:
+    """A UNet with the blocks of Stable Diffusion 1.5: with two layers a block, 32 attentions and 686 tensors."""
     from diffusers import UNet2DConditionModel
 
     return UNet2DConditionModel(
         sample_size=8,
         in_channels=channels,
-        block_out_channels=WIDTHS,
+        layers_per_block=layers,
+        block_out_channels=widths,
         cross_attention_dim=CONTEXT,
         attention_head_dim=2,
         norm_num_groups=4,
     )
 
 
-def write_models(root: Path, seed: int = 0) -> Path:
-    """One folder per role in `root`, which is returned."""
+def write_models(root: Path, seed: int = 0, unet: Any = None, vae: Any = None) -> Path:
+    """One folder per role in `root`, which is returned; `unet` and `vae` where given, else random ones."""
     from diffusers import AutoencoderKL, DDIMScheduler
     from safetensors.torch import save_file
     from transformers import CLIPTextConfig, CLIPTextModel, CLIPVisionConfig, CLIPVisionModelWithProjection
 
     torch.manual_seed(seed)
     base = root / "base"
-    unet = tiny_unet(9)
+    unet = unet or tiny_unet(9)
     unet.save_pretrained(base / "unet")
     write_tokenizer(base / "tokenizer")
     text = CLIPTextConfig(
@@ -51,14 +52,15 @@ def write_models(root: Path, seed: int = 0) -> Path:
     DDIMScheduler(
         beta_start=0.00085, beta_end=0.012, beta_schedule="scaled_linear", steps_offset=1, clip_sample=False
     ).save_pretrained(base / "scheduler")
-    AutoencoderKL(
+    vae = vae or AutoencoderKL(
         down_block_types=("DownEncoderBlock2D",) * 4,
         up_block_types=("UpDecoderBlock2D",) * 4,
         block_out_channels=(8, 8, 8, 8),
         norm_num_groups=4,
         latent_channels=4,
         layers_per_block=1,
-    ).save_pretrained(root / "vae")
+    )
+    vae.save_pretrained(root / "vae")
     vision = CLIPVisionConfig(
         hidden_size=16,
         intermediate_size=16,
@@ -93,14 +95,15 @@ def write_checkpoint(folder: Path, unet: Any, ip_adapter: Path) -> None:
         torch.nn.init.normal_(processor.norm.bias)
         torch.nn.init.normal_(processor.proj.weight)
     torch.save(processors.state_dict(), folder / "lightning-drag-sd15-attn.bin")
-    encoder = tiny_unet(4)
+    shape = (unet.config.layers_per_block, unet.config.block_out_channels)
+    encoder = tiny_unet(4, *shape)
     absent = absent_keys(encoder)
     (folder / "appearance_encoder").mkdir()
     kept = {key: value.contiguous() for key, value in encoder.state_dict().items() if key not in absent}
     save_file(kept, folder / "appearance_encoder/diffusion_pytorch_model.safetensors")
     config = {**encoder.config, "_class_name": "AppearanceEncoderModel"}
     (folder / "appearance_encoder/config.json").write_text(json.dumps(config, default=list))
-    adapters = install(tiny_unet(9), points.embeddings).state_dict()
+    adapters = install(tiny_unet(9, *shape), points.embeddings).state_dict()
     cross = {key: value for key, value in adapters.items() if "_ip." in key}
     torch.save({"image_proj": ImageTokens(CLIP_WIDTH, CONTEXT).state_dict(), "ip_adapter": cross}, ip_adapter)
 

@@ -102,8 +102,8 @@ class ImageCrossAttention(nn.Module):
 
 def _attend(heads: int, query: torch.Tensor, key: torch.Tensor, value: torch.Tensor) -> torch.Tensor:
     """Multi-head attention (B, T, hidden) before the output projection."""
-    split = [x.reshape(*x.shape[:2], heads, -1).transpose(1, 2) for x in (query, key, value)]
-    return functional.scaled_dot_product_attention(*split).transpose(1, 2).flatten(2)
+    q, k, v = (x.reshape(*x.shape[:2], heads, -1).transpose(1, 2) for x in (query, key, value))
+    return functional.scaled_dot_product_attention(q, k, v).transpose(1, 2).flatten(2)
 
 
 def _out(attn: Any, tokens: torch.Tensor) -> torch.Tensor:

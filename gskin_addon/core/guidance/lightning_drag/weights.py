@@ -53,8 +53,8 @@ class LightningDrag:
         return (self.unet, self.point_embedding, self.vae)
 
 
-def load(files: Files, dtype: torch.dtype) -> LightningDrag:
-    """Load everything to the CPU as `dtype`.
+def load(files: Files, dtype: torch.dtype, trained: torch.dtype | None = None) -> LightningDrag:
+    """Load everything to the CPU as `dtype`; what fine-tuning changes as `trained`, where that is given.
 
     Raises:
         InputError: a file is damaged, or holds the weights of something else.
@@ -63,15 +63,18 @@ def load(files: Files, dtype: torch.dtype) -> LightningDrag:
     from transformers import CLIPVisionModelWithProjection
 
     _quiet()
+    trained = trained or dtype
     unet = _pretrained(UNet2DConditionModel, files.base / "unet", "base model's UNet", torch_dtype=dtype)
     if files.lcm_lora is not None:
         path = files.lcm_lora / "pytorch_lora_weights.safetensors"
         merge_lora(unet, load_tensors(path, "LCM-LoRA"), f"The LCM-LoRA '{path}'")
-    points = load_point_embedding(files.lightning_drag / POINTS).to(dtype)
-    processors = install(unet, points.embeddings).to(dtype)
+    points = load_point_embedding(files.lightning_drag / POINTS).to(trained)
+    processors = install(unet, points.embeddings)
+    for number, processor in enumerate(processors):
+        processor.to(dtype if number % 2 else trained)
     path = files.lightning_drag / ATTENTION
     load_strictly(processors, load_tensors(path, "attention weights"), f"The attention weights '{path}'")
-    appearance = load_appearance(files.lightning_drag / APPEARANCE, unet.config, dtype)
+    appearance = load_appearance(files.lightning_drag / APPEARANCE, unet.config, trained)
     folder = files.ip_adapter / "models/image_encoder"
     encoder = _pretrained(CLIPVisionModelWithProjection, folder, "image encoder", dtype=dtype)
     tokens = load_ip_adapter(_ip_adapter_file(files.ip_adapter), processors, encoder.config.projection_dim).to(dtype)
