@@ -88,7 +88,7 @@ class FluxOptions(DiffusionOptions):
         "limbs and joints, plain white background."
     )
     subject: str = "character"
-    strength: float = ranged(0.6, 0.0, 1.0)
+    strength: float = ranged(0.6, 0.01, 1.0)
     guidance_scale: float = ranged(4.0, 1.0, 30.0)
 
 

@@ -24,7 +24,7 @@ def test_values_keep_their_types_and_whole_numbers_may_be_decimal():
     ("values", "words"),
     [
         ({"speed": 1}, "no option 'speed'; it knows .*strength"),
-        ({"strength": 1.5}, "strength .* between 0.0 and 1.0"),
+        ({"strength": 1.5}, "strength .* between 0.01 and 1.0"),
         ({"strength": "high"}, "must be a number"),
         ({"steps": 4.5}, "must be a whole number"),
         ({"steps": True}, "must be a whole number"),
