@@ -99,8 +99,12 @@ class LightningDragOptions(DiffusionOptions):
     models: a folder that holds one folder per role (`base`, `vae`, `ip_adapter`, `lightning_drag`, and `lcm_lora`
     where wanted); base, vae, ip_adapter, lightning_drag, lcm_lora: a folder or hub id of its own for a role;
     scheduler: "lcm" needs the LCM LoRA; guidance_scale: of the control points, 0 for the scheduler's own;
-    max_points: control points kept by farthest-point sampling, 0 for all (fine-tuned checkpoints only).
+    max_points: control points kept by farthest-point sampling, 0 for all, -1 for what the checkpoint was trained on
+    (20 for the published one, which fails on dense points).
     """
+
+    # Its attentions hold weights of their own, which off-loading layer by layer would leave behind.
+    offload: str = unseen("auto", choices=("auto", "none", "model"))
 
     models: str = ""
     base: str = ""
@@ -110,7 +114,7 @@ class LightningDragOptions(DiffusionOptions):
     lcm_lora: str = ""
     scheduler: str = one_of("lcm", ("lcm", "ddim"))
     guidance_scale: float = ranged(0.0, 0.0, 30.0)
-    max_points: int = ranged(20, 0, 512)
+    max_points: int = ranged(-1, -1, 512)
 
 
 PROVIDER_OPTIONS: dict[str, type[DiffusionOptions]] = {
