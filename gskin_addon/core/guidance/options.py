@@ -10,9 +10,11 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Self
 
 from ..errors import InputError
+from .model_files import is_hub_id
 
 OFFLOADS = ("auto", "none", "model", "sequential")
 DTYPES = ("auto", "float32", "float16", "bfloat16")
@@ -71,6 +73,10 @@ class DiffusionOptions:
             f.name: getattr(self, f.name) for f in dataclasses.fields(self) if not f.metadata.get("unseen")
         }
 
+    def models_named(self) -> dict[str, str]:
+        """What each model is, and the folder or hub id given for it, empty where none is."""
+        return {}
+
 
 @dataclass(frozen=True)
 class FluxOptions(DiffusionOptions):
@@ -90,6 +96,10 @@ class FluxOptions(DiffusionOptions):
     subject: str = "character"
     strength: float = ranged(0.6, 0.01, 1.0)
     guidance_scale: float = ranged(4.0, 1.0, 30.0)
+
+    def models_named(self) -> dict[str, str]:
+        """See DiffusionOptions."""
+        return {"FLUX.2 [klein] model": self.model.strip()}
 
 
 @dataclass(frozen=True)
@@ -116,6 +126,21 @@ class LightningDragOptions(DiffusionOptions):
     guidance_scale: float = ranged(0.0, 0.0, 30.0)
     max_points: int = ranged(-1, -1, 512)
 
+    def models_named(self) -> dict[str, str]:
+        """See DiffusionOptions; a role without a name of its own lies in its folder of `models`."""
+        roles = {
+            "base": "base inpainting model",
+            "vae": "VAE",
+            "ip_adapter": "IP-Adapter",
+            "lightning_drag": "LightningDrag checkpoint",
+            **({"lcm_lora": "LCM-LoRA"} if self.scheduler == "lcm" else {}),
+        }
+        inside = Path(self.models).expanduser() if self.models.strip() else None
+        return {
+            words: getattr(self, role).strip() or (str(inside / role) if inside is not None else "")
+            for role, words in roles.items()
+        }
+
 
 PROVIDER_OPTIONS: dict[str, type[DiffusionOptions]] = {
     "flux_repair": FluxOptions,
@@ -129,6 +154,20 @@ def check_options(guidance: str, values: Mapping[str, Any]) -> None:
         raise InputError(f"The options of the guidance are {values!r}; they must be a table of names and values.")
     if guidance in PROVIDER_OPTIONS:
         PROVIDER_OPTIONS[guidance].parse(values, guidance)
+
+
+def check_models(guidance: str, values: Mapping[str, Any]) -> None:
+    """Raise InputError unless every model of `guidance` is named, and every folder named is there.
+
+    Looks at names and folders only; the worker looks into them.
+    """
+    if guidance not in PROVIDER_OPTIONS:
+        return
+    for words, name in PROVIDER_OPTIONS[guidance].parse(values, guidance).models_named().items():
+        if not name:
+            raise InputError(f"No {words} is named: give its folder or a hub id in the settings of the guidance.")
+        if not is_hub_id(name) and not Path(name).expanduser().is_dir():
+            raise InputError(f"The folder of the {words}, '{name}', does not exist; correct the path.")
 
 
 def _checked(f: dataclasses.Field[Any], value: Any, guidance: str) -> Any:
