@@ -156,6 +156,15 @@ def check_options(guidance: str, values: Mapping[str, Any]) -> None:
         PROVIDER_OPTIONS[guidance].parse(values, guidance)
 
 
+def deciding(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """A job's settings without those that do not change its result: consent, device, batches."""
+    options, kind = settings.get("options"), PROVIDER_OPTIONS.get(str(settings.get("guidance")))
+    if kind is None or not isinstance(options, Mapping):
+        return dict(settings)
+    unseen_names = {f.name for f in dataclasses.fields(kind) if f.metadata.get("unseen")}
+    return {**settings, "options": {name: value for name, value in options.items() if name not in unseen_names}}
+
+
 def check_models(guidance: str, values: Mapping[str, Any]) -> None:
     """Raise InputError unless every model of `guidance` is named, and every folder named is there.
 

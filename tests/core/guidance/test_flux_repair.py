@@ -23,6 +23,8 @@ from gskin_addon.core.guidance.options import FluxOptions
 from gskin_addon.core.guidance.provider import GuidanceContext, to_bytes
 from gskin_addon.core.render.camera import paper_views
 from gskin_addon.core.render.rasterizer import render_cloud
+from gskin_addon.core.skinning import presets
+from gskin_addon.core.worker import pipeline
 from tests.helpers.limb import make_limb
 
 SIZE = 32
@@ -159,6 +161,24 @@ def test_the_provider_makes_images_and_goes_on_after_a_stop(context, painter, tm
     assert len(list((tmp_path / "guidance").glob("*.png"))) == 3  # one batch of one view
     assert told[1][0] == pytest.approx(1 / 6)  # a third of the first three images, after one of three steps
     np.testing.assert_array_equal(list(create_provider("flux_repair", kept).images(signals)), whole)
+
+
+def test_a_whole_job(model, painter, tmp_path, monkeypatch):
+    monkeypatch.setitem(presets.PRESETS, "draft", presets.Preset("for tests", 2, ((16, 4), (32, 4)), 2))
+    monkeypatch.setattr(pipeline, "GUIDANCE_SIZE", SIZE)
+    monkeypatch.setattr(flux_repair, "FluxPainter", lambda folder, options: painter)  # loaded already
+    limb = make_limb(500)
+    settings = {"preset": "draft", "guidance": "flux_repair", "options": {"model": str(model), "device": "cpu"}}
+    told = []
+
+    def progress(stage, fraction, losses=None, message="", *more):
+        told.append((stage, fraction, message))
+
+    outcome = pipeline.run(limb.cloud, limb.skeleton, settings, progress, tmp_path)
+    assert outcome.report["guidance_images"] == len(list((tmp_path / "guidance").glob("*.png"))) == 8
+    np.testing.assert_allclose(outcome.weights.sum(1), 1, atol=1e-5)
+    messages = [message for stage, _, message in told if stage == "guidance"]
+    assert messages.count("Guidance image 1 of 8") > 2  # news between the denoising steps
 
 
 def test_the_mask_is_grown_to_whole_tokens():
