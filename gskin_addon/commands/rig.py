@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
-from ..core.guidance.options import PROVIDER_OPTIONS, check_models
+from ..core.guidance.options import PROVIDER_OPTIONS, check_models, with_absolute_folders
 from ..core.rig.lbs import sparsify
 from ..core.splats.axes import rotate_cloud, up_rotation
 from ..core.splats.cloud import SplatCloud
@@ -155,7 +155,7 @@ def guidance_options(options: argparse.Namespace) -> dict[str, Any]:
     if options.allow_download:
         values["allow_download"] = True
     check_models(options.guidance, values)
-    return values
+    return with_absolute_folders(options.guidance, values)
 
 
 def _work(python: Path, folder: Path, printer: ProgressPrinter) -> Result:

@@ -193,7 +193,7 @@ def test_guidance_options_have_the_types_that_the_guidance_wants(tmp_path, monke
     Path("7").mkdir()
     given = ["model=7", "steps=4", "strength=0.5", "prompt=true colours"]
     arguments = [word for pair in given for word in ("--guidance-option", pair)]
-    wanted = {"model": "7", "steps": 4, "strength": 0.5, "prompt": "true colours"}
+    wanted = {"model": str(tmp_path / "7"), "steps": 4, "strength": 0.5, "prompt": "true colours"}
     assert guidance_of("--guidance", "flux_repair", *arguments) == wanted
     assert guidance_of("--guidance", "flux_repair", "--guidance-option", "model=a/b", "--allow-download") == {
         "model": "a/b",

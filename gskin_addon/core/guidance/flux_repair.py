@@ -204,4 +204,9 @@ def create(context: GuidanceContext) -> DiffusionGuidance:
     check_index(folder)
     _, dtype = compute_device(options.device, options.dtype, half="bfloat16")
     identity = {"provider": "flux_repair", **options.identity(), "dtype": str(dtype), "files": stamp(folder)}
-    return DiffusionGuidance(context, lambda: FluxPainter(folder, options), identity)
+
+    def load() -> FluxPainter:
+        context.tick(0.0, "Loading FLUX.2 [klein]")
+        return FluxPainter(folder, options)
+
+    return DiffusionGuidance(context, load, identity)

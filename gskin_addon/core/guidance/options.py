@@ -35,6 +35,11 @@ def unseen(default: Any, **metadata: Any) -> Any:
     return field(default=default, metadata={**metadata, "unseen": True})
 
 
+def place() -> Any:
+    """A folder or hub id of a settings dataclass, empty for none."""
+    return field(default="", metadata={"place": True})
+
+
 @dataclass(frozen=True)
 class DiffusionOptions:
     """What every diffusion provider can be told.
@@ -88,7 +93,7 @@ class FluxOptions(DiffusionOptions):
     only for undistilled models.
     """
 
-    model: str = ""
+    model: str = place()
     prompt: str = (
         "The {subject} of the second image in the pose of the first image. Same colours, same materials, intact "
         "limbs and joints, plain white background."
@@ -116,12 +121,12 @@ class LightningDragOptions(DiffusionOptions):
     # Its attentions hold weights of their own, which off-loading layer by layer would leave behind.
     offload: str = unseen("auto", choices=("auto", "none", "model"))
 
-    models: str = ""
-    base: str = ""
-    vae: str = ""
-    ip_adapter: str = ""
-    lightning_drag: str = ""
-    lcm_lora: str = ""
+    models: str = place()
+    base: str = place()
+    vae: str = place()
+    ip_adapter: str = place()
+    lightning_drag: str = place()
+    lcm_lora: str = place()
     scheduler: str = one_of("lcm", ("lcm", "ddim"))
     guidance_scale: float = ranged(0.0, 0.0, 30.0)
     max_points: int = ranged(-1, -1, 512)
@@ -163,6 +168,18 @@ def deciding(settings: Mapping[str, Any]) -> dict[str, Any]:
         return dict(settings)
     unseen_names = {f.name for f in dataclasses.fields(kind) if f.metadata.get("unseen")}
     return {**settings, "options": {name: value for name, value in options.items() if name not in unseen_names}}
+
+
+def with_absolute_folders(guidance: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    """The options with local folders as absolute paths, for a worker that may start elsewhere."""
+    kind = PROVIDER_OPTIONS.get(guidance)
+    places = {f.name for f in dataclasses.fields(kind) if f.metadata.get("place")} if kind else set()
+    return {
+        name: str(Path(value).expanduser().absolute())
+        if name in places and isinstance(value, str) and value.strip() and not is_hub_id(value)
+        else value
+        for name, value in values.items()
+    }
 
 
 def check_models(guidance: str, values: Mapping[str, Any]) -> None:

@@ -137,6 +137,13 @@ def test_an_undistilled_model_is_guided_by_the_prompt(tmp_path, frames):
     assert np.abs(paint(weak, frames[:1]) - paint(strong, frames[:1])).max() > 1e-3
 
 
+def test_off_loading_one_model_at_a_time_paints_the_same(model, painter, frames, monkeypatch):
+    """With accelerate's hooks, though to the processor: there is no GPU here."""
+    monkeypatch.setattr(flux_repair, "choose_offload", lambda *memory: "model")
+    options = FluxOptions(model=str(model), device="cpu", offload="model")
+    np.testing.assert_array_equal(paint(FluxPainter(model, options), frames[:1]), paint(painter, frames[:1]))
+
+
 def test_the_provider_makes_images_and_goes_on_after_a_stop(context, painter, tmp_path, monkeypatch):
     cameras = paper_views(*context.cloud.bounds(), SIZE)
     signals = make_signals(context.skeleton, cameras, 3, np.random.default_rng(0))[:6]
@@ -159,7 +166,8 @@ def test_the_provider_makes_images_and_goes_on_after_a_stop(context, painter, tm
     with pytest.raises(Cancelled):
         list(create_provider("flux_repair", replace(kept, tick=tick)).images(signals))
     assert len(list((tmp_path / "guidance").glob("*.png"))) == 3  # one batch of one view
-    assert told[1][0] == pytest.approx(1 / 6)  # a third of the first three images, after one of three steps
+    assert [message for _, message in told][:2] == ["Guidance image 1 of 6", "Loading FLUX.2 [klein]"]
+    assert told[2][0] == pytest.approx(1 / 6)  # a third of the first three images, after one of three steps
     np.testing.assert_array_equal(list(create_provider("flux_repair", kept).images(signals)), whole)
 
 
