@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
-from ..core.guidance.options import PROVIDER_OPTIONS, check_options
+from ..core.guidance.options import PROVIDER_OPTIONS, check_models, with_absolute_folders
 from ..core.rig.lbs import sparsify
 from ..core.splats.axes import rotate_cloud, up_rotation
 from ..core.splats.cloud import SplatCloud
@@ -154,8 +154,8 @@ def guidance_options(options: argparse.Namespace) -> dict[str, Any]:
             values[name] = text  # a folder called 7 is still a name
     if options.allow_download:
         values["allow_download"] = True
-    check_options(options.guidance, values)
-    return values
+    check_models(options.guidance, values)
+    return with_absolute_folders(options.guidance, values)
 
 
 def _work(python: Path, folder: Path, printer: ProgressPrinter) -> Result:

@@ -188,16 +188,23 @@ def guidance_of(*arguments):
     )
 
 
-def test_guidance_options_have_the_types_that_the_guidance_wants():
+def test_guidance_options_have_the_types_that_the_guidance_wants(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("7").mkdir()
     given = ["model=7", "steps=4", "strength=0.5", "prompt=true colours"]
     arguments = [word for pair in given for word in ("--guidance-option", pair)]
-    wanted = {"model": "7", "steps": 4, "strength": 0.5, "prompt": "true colours"}
+    wanted = {"model": str(tmp_path / "7"), "steps": 4, "strength": 0.5, "prompt": "true colours"}
     assert guidance_of("--guidance", "flux_repair", *arguments) == wanted
-    assert guidance_of("--guidance", "flux_repair", "--allow-download") == {"allow_download": True}
+    assert guidance_of("--guidance", "flux_repair", "--guidance-option", "model=a/b", "--allow-download") == {
+        "model": "a/b",
+        "allow_download": True,
+    }
     assert guidance_of("--guidance", "oracle", "--guidance-option", "a=1") == {"a": 1}
     for arguments, words in (
         (("--guidance", "flux_repair", "--guidance-option", "steps=many"), "whole number"),
         (("--guidance", "flux_repair", "--guidance-option", "color=red"), "no option 'color'"),
+        (("--guidance", "flux_repair"), "No FLUX.2 .* is named"),
+        (("--guidance", "flux_repair", "--guidance-option", "model=8"), "'8', does not exist"),
         (("--guidance", "elastic", "--allow-download"), "fetches nothing"),
     ):
         with pytest.raises(InputError, match=words):

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
+from ..errors import GSkinError, InputError
 from ..render.rasterizer import render_cloud
 from ..rig.lbs import skin_cloud
 from ..worker.files import write_png
@@ -155,12 +155,21 @@ class DiffusionGuidance:
 
 
 def composite(frame: Frame, image: NDArray[Any]) -> NDArray[np.uint8]:
-    """`image` (H, W, 3), in [0, 1] or uint8, inside the dynamic mask, the rest view outside."""
+    """`image` (H, W, 3), in [0, 1] or uint8, inside the dynamic mask, the rest view outside.
+
+    Raises:
+        GSkinError: the image has values that are not finite, as half precision gives on some cards.
+    """
     painted = np.asarray(image)
     if painted.shape != frame.rest.shape:
         raise ValueError(f"the model gave an image {painted.shape} for one of {frame.rest.shape}")
     if painted.dtype != np.uint8:
-        painted = to_bytes(np.nan_to_num(painted, nan=1.0))
+        if not np.isfinite(painted).all():
+            raise GSkinError(
+                "The guidance model gave no picture but values that are not numbers; choose another dtype in its "
+                "options (bfloat16 or float32)."
+            )
+        painted = to_bytes(painted)
     return np.where(frame.mask[..., None], painted, to_bytes(frame.rest))
 
 

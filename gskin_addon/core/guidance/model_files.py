@@ -123,7 +123,7 @@ def _from_hub(name: str, files: ModelFiles, allow_download: bool, tell: Callable
                 f"files (licence of '{files.hub_id}': {files.licence})."
             ) from error
         raise GSkinError(
-            f"The {files.role} '{name}' could not be fetched ({_first_line(error)}); check the name and the "
+            f"The {files.role} '{name}' could not be fetched ({first_line(error)}); check the name and the "
             "network, or name a folder that has its files."
         ) from error
 
@@ -136,7 +136,7 @@ def require(module: str, why: str) -> None:
         importlib.import_module(module)
     except ImportError as error:
         raise InputError(
-            f"{why} needs {module}, which does not load ({_first_line(error)}); "
+            f"{why} needs {module}, which does not load ({first_line(error)}); "
             "pip install 'gskin_addon[diffusion]' into the worker's Python."
         ) from None
 
@@ -161,7 +161,7 @@ def load_tensors(path: Path, what: str) -> dict[str, Any]:
         raise InputError(f"The {what} '{path}' does not exist; put it there.") from None
     except Exception as error:  # pickle, zip, safetensors and torch each have their own
         raise InputError(
-            f"The {what} '{path}' cannot be read as plain weights ({_first_line(error)}); get the file again."
+            f"The {what} '{path}' cannot be read as plain weights ({first_line(error)}); get the file again."
         ) from error
     if not isinstance(tensors, dict):
         raise InputError(f"The {what} '{path}' does not hold named tensors; get the right file.")
@@ -179,5 +179,6 @@ def stamp(folder: Path, patterns: Sequence[str] = ("*",)) -> list[list[Any]]:
     ]
 
 
-def _first_line(error: BaseException) -> str:
+def first_line(error: BaseException) -> str:
+    """The first line of an error's text, without its full stop, to stand inside a sentence."""
     return str(error).strip().split("\n")[0].rstrip(".") or type(error).__name__

@@ -10,9 +10,11 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Self
 
 from ..errors import InputError
+from .model_files import is_hub_id
 
 OFFLOADS = ("auto", "none", "model", "sequential")
 DTYPES = ("auto", "float32", "float16", "bfloat16")
@@ -31,6 +33,11 @@ def one_of(default: str, choices: tuple[str, ...]) -> Any:
 def unseen(default: Any, **metadata: Any) -> Any:
     """A setting that does not change the pictures: how, not what, is computed."""
     return field(default=default, metadata={**metadata, "unseen": True})
+
+
+def place() -> Any:
+    """A folder or hub id of a settings dataclass, empty for none."""
+    return field(default="", metadata={"place": True})
 
 
 @dataclass(frozen=True)
@@ -71,6 +78,10 @@ class DiffusionOptions:
             f.name: getattr(self, f.name) for f in dataclasses.fields(self) if not f.metadata.get("unseen")
         }
 
+    def models_named(self) -> dict[str, str]:
+        """What each model is, and the folder or hub id given for it, empty where none is."""
+        return {}
+
 
 @dataclass(frozen=True)
 class FluxOptions(DiffusionOptions):
@@ -82,14 +93,18 @@ class FluxOptions(DiffusionOptions):
     only for undistilled models.
     """
 
-    model: str = ""
+    model: str = place()
     prompt: str = (
         "The {subject} of the second image in the pose of the first image. Same colours, same materials, intact "
         "limbs and joints, plain white background."
     )
     subject: str = "character"
-    strength: float = ranged(0.6, 0.0, 1.0)
+    strength: float = ranged(0.6, 0.01, 1.0)
     guidance_scale: float = ranged(4.0, 1.0, 30.0)
+
+    def models_named(self) -> dict[str, str]:
+        """See DiffusionOptions."""
+        return {"FLUX.2 [klein] model": self.model.strip()}
 
 
 @dataclass(frozen=True)
@@ -106,15 +121,30 @@ class LightningDragOptions(DiffusionOptions):
     # Its attentions hold weights of their own, which off-loading layer by layer would leave behind.
     offload: str = unseen("auto", choices=("auto", "none", "model"))
 
-    models: str = ""
-    base: str = ""
-    vae: str = ""
-    ip_adapter: str = ""
-    lightning_drag: str = ""
-    lcm_lora: str = ""
+    models: str = place()
+    base: str = place()
+    vae: str = place()
+    ip_adapter: str = place()
+    lightning_drag: str = place()
+    lcm_lora: str = place()
     scheduler: str = one_of("lcm", ("lcm", "ddim"))
     guidance_scale: float = ranged(0.0, 0.0, 30.0)
     max_points: int = ranged(-1, -1, 512)
+
+    def models_named(self) -> dict[str, str]:
+        """See DiffusionOptions; a role without a name of its own lies in its folder of `models`."""
+        roles = {
+            "base": "base inpainting model",
+            "vae": "VAE",
+            "ip_adapter": "IP-Adapter",
+            "lightning_drag": "LightningDrag checkpoint",
+            **({"lcm_lora": "LCM-LoRA"} if self.scheduler == "lcm" else {}),
+        }
+        inside = Path(self.models).expanduser() if self.models.strip() else None
+        return {
+            words: getattr(self, role).strip() or (str(inside / role) if inside is not None else "")
+            for role, words in roles.items()
+        }
 
 
 PROVIDER_OPTIONS: dict[str, type[DiffusionOptions]] = {
@@ -129,6 +159,41 @@ def check_options(guidance: str, values: Mapping[str, Any]) -> None:
         raise InputError(f"The options of the guidance are {values!r}; they must be a table of names and values.")
     if guidance in PROVIDER_OPTIONS:
         PROVIDER_OPTIONS[guidance].parse(values, guidance)
+
+
+def deciding(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """A job's settings without those that do not change its result: consent, device, batches."""
+    options, kind = settings.get("options"), PROVIDER_OPTIONS.get(str(settings.get("guidance")))
+    if kind is None or not isinstance(options, Mapping):
+        return dict(settings)
+    unseen_names = {f.name for f in dataclasses.fields(kind) if f.metadata.get("unseen")}
+    return {**settings, "options": {name: value for name, value in options.items() if name not in unseen_names}}
+
+
+def with_absolute_folders(guidance: str, values: Mapping[str, Any]) -> dict[str, Any]:
+    """The options with local folders as absolute paths, for a worker that may start elsewhere."""
+    kind = PROVIDER_OPTIONS.get(guidance)
+    places = {f.name for f in dataclasses.fields(kind) if f.metadata.get("place")} if kind else set()
+    return {
+        name: str(Path(value).expanduser().absolute())
+        if name in places and isinstance(value, str) and value.strip() and not is_hub_id(value)
+        else value
+        for name, value in values.items()
+    }
+
+
+def check_models(guidance: str, values: Mapping[str, Any]) -> None:
+    """Raise InputError unless every model of `guidance` is named, and every folder named is there.
+
+    Looks at names and folders only; the worker looks into them.
+    """
+    if guidance not in PROVIDER_OPTIONS:
+        return
+    for words, name in PROVIDER_OPTIONS[guidance].parse(values, guidance).models_named().items():
+        if not name:
+            raise InputError(f"No {words} is named: give its folder or a hub id in the settings of the guidance.")
+        if not is_hub_id(name) and not Path(name).expanduser().is_dir():
+            raise InputError(f"The folder of the {words}, '{name}', does not exist; correct the path.")
 
 
 def _checked(f: dataclasses.Field[Any], value: Any, guidance: str) -> Any:

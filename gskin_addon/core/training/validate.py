@@ -44,10 +44,8 @@ def validate(
     numbers = chosen_pairs(len(pairs), most)
     for group in _groups(pairs, numbers, painter.batch):
         frames = [_frame(pairs[number], place, image_seed(seed, number)) for number, place in group]
-        done = len(scores["psnr"])
-        images = painter.paint(
-            frames, lambda part, done=done, count=len(group): tell((done + part * count) / len(numbers))
-        )
+        begun, share = len(scores["psnr"]) / len(numbers), len(group) / len(numbers)
+        images = painter.paint(frames, lambda part, begun=begun, share=share: tell(begun + part * share))
         for (number, _), frame, image in zip(group, frames, images, strict=True):
             made = composite(frame, image).astype(np.float32) / 255
             truth = pairs[number].posed.astype(np.float32) / 255

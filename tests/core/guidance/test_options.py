@@ -6,9 +6,11 @@ import sys
 from pathlib import Path
 
 import pytest
+import worker_jobs as jobs
 
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.guidance.options import FluxOptions, check_options
+from gskin_addon.core.worker.contract import fingerprint
 from gskin_addon.core.worker.settings import JobSettings
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -24,7 +26,7 @@ def test_values_keep_their_types_and_whole_numbers_may_be_decimal():
     ("values", "words"),
     [
         ({"speed": 1}, "no option 'speed'; it knows .*strength"),
-        ({"strength": 1.5}, "strength .* between 0.0 and 1.0"),
+        ({"strength": 1.5}, "strength .* between 0.01 and 1.0"),
         ({"strength": "high"}, "must be a number"),
         ({"steps": 4.5}, "must be a whole number"),
         ({"steps": True}, "must be a whole number"),
@@ -50,6 +52,15 @@ def test_a_job_with_wrong_options_is_refused_before_any_work():
     with pytest.raises(InputError, match="strength"):
         JobSettings.parse({"guidance": "flux_repair", "options": {"strength": 2}})
     JobSettings.parse({"guidance": "elastic", "options": {"anything": 1}})
+
+
+def test_the_same_job_with_another_device_or_consent_goes_on():
+    def job(guidance, **options):
+        return fingerprint(*jobs.rod(50), {"guidance": guidance, "options": options})
+
+    assert job("flux_repair", model="a") == job("flux_repair", model="a", allow_download=True, device="cuda", batch=2)
+    assert job("flux_repair", model="a") != job("flux_repair", model="b")
+    assert job("oracle", device="a") != job("oracle", device="b")
 
 
 def test_blenders_own_python_can_read_them():
