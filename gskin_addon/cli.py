@@ -35,14 +35,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 def execute(options: argparse.Namespace) -> int:
     """Run parsed options and turn whatever goes wrong into one sentence and an exit code."""
     from .commands.console import quiet_stdout, say
-    from .core.errors import Cancelled, GSkinError
+    from .core.errors import Cancelled, GSkinError, Stopped
     from .core.worker.files import disk_error
 
     previous = _interruptible()
     try:
-        module = importlib.import_module(f".commands.{options.command}", __package__)
+        module = importlib.import_module(f".commands.{options.command.replace('-', '_')}", __package__)
         with contextlib.nullcontext() if options.verbose else quiet_stdout():
             module.run(options)
+    except Stopped as stop:
+        say(_sentence(stop))
+        return CANCELLED
     except (KeyboardInterrupt, Cancelled):
         say("Cancelled; no output was written.")
         return CANCELLED

@@ -7,10 +7,11 @@ import bpy
 
 from .operators import anchor, auto_skin, bind, command_line, confidence, hygiene, import_splats
 from .scene import handlers
-from .ui import panel, preferences, properties, splat_panels
+from .ui import guidance, panel, preferences, properties, splat_panels
 
 # Each has CLASSES, and register() and unregister() where there is more to do.
 MODULES = (
+    guidance,
     properties,
     preferences,
     import_splats,

@@ -39,6 +39,7 @@ def build() -> argparse.ArgumentParser:
     _rig(commands)
     _pose(commands)
     _render(commands)
+    _train_guidance(commands)
     return parser
 
 
@@ -101,6 +102,7 @@ def _rig(commands: Any) -> None:
         metavar="NAME=VALUE",
         help="a setting of that guidance; repeatable",
     )
+    _consent(rig)
     _front(rig)
     rig.add_argument("--preset", choices=tuple(PRESETS), default=DEFAULT_PRESET, help="effort (default: %(default)s)")
     rig.add_argument("--max-influences", type=_positive, default=4, metavar="N", help="bones per splat (default: 4)")
@@ -109,12 +111,7 @@ def _rig(commands: Any) -> None:
         "--job-dir", type=Path, metavar="D", help="keep the job here; the same command resumes a stopped one"
     )
     rig.add_argument("--python", metavar="PYTHON", default="", help="the Python with torch that does the work")
-    rig.add_argument(
-        "--progress",
-        choices=("auto", "bar", "lines", "json", "none"),
-        default="auto",
-        help="on stderr: a bar on terminals, else lines (auto); or the worker's JSON lines",
-    )
+    _progress(rig)
     _common(rig)
 
 
@@ -170,6 +167,73 @@ def _render(commands: Any) -> None:
     _common(render)
 
 
+def _train_guidance(commands: Any) -> None:
+    train = commands.add_parser(
+        "train-guidance",
+        help="make image pairs from rigged assets, and fine-tune a guidance model on them",
+        description="Fine-tune a guidance model as the paper does, in two steps; see docs/guidance.md.",
+        allow_abbrev=False,
+    )
+    steps = train.add_subparsers(dest="step", required=True, metavar="STEP", parser_class=_Parser)
+    pairs = steps.add_parser(
+        "pairs",
+        help="rigged assets to pairs of a rest image and a posed image",
+        description="Pose rigged assets at random, see them from four views, and keep the image pairs. The same "
+        "command goes on where a stopped one was.",
+        allow_abbrev=False,
+    )
+    pairs.set_defaults(needs=("numba", "scipy", "PIL"), extra="gskin_addon[worker]")
+    pairs.add_argument("assets", type=Path, metavar="ASSETS", help="folder of rigged .npz assets")
+    pairs.add_argument("--out", type=Path, required=True, metavar="PAIRS", help="folder to write")
+    pairs.add_argument(
+        "--poses", type=_positive, default=71, metavar="N", help="per asset and view, of four (default: %(default)s)"
+    )
+    pairs.add_argument("--size", type=_size, default=512, metavar="PIXELS", help="(default: %(default)s)")
+    pairs.add_argument("--splats", type=_positive, default=30_000, metavar="N", help="per asset (default: %(default)s)")
+    pairs.add_argument(
+        "--validation", type=_unit, default=0.1, metavar="SHARE", help="of the assets, whole families (default: 0.1)"
+    )
+    pairs.add_argument(
+        "--leave-out", action="append", default=[], metavar="FAMILY", help="keep a family for tests; repeatable"
+    )
+    pairs.add_argument("--per-family", type=_positive, default=0, metavar="N", help="most assets of a family")
+    pairs.add_argument(
+        "--any-licence", action="store_true", help="also assets whose licence binds what is learned from them"
+    )
+    pairs.add_argument("--seed", type=_seed, default=0, metavar="N", help="same seed, same pairs (default: 0)")
+    tune = steps.add_parser(
+        "tune",
+        help="fine-tune LightningDrag weights on image pairs",
+        description="Fine-tune LightningDrag weights on image pairs. The same command goes on where a stopped one was.",
+        allow_abbrev=False,
+    )
+    tune.set_defaults(needs=("torch", "diffusers", "accelerate"), extra="gskin_addon[worker,diffusion]")
+    tune.add_argument("pairs", type=Path, metavar="PAIRS", help="what `train-guidance pairs` wrote")
+    tune.add_argument("--out", type=Path, required=True, metavar="MODEL", help="folder to write")
+    tune.add_argument(
+        "--option", action="append", default=[], metavar="NAME=VALUE", help="a model or a training setting; repeatable"
+    )
+    _consent(tune)
+    for step in (pairs, tune):
+        _progress(step)
+        _common(step)
+
+
+def _consent(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--allow-download", action="store_true", help="fetch a model named by its hub id, where it is not here yet"
+    )
+
+
+def _progress(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--progress",
+        choices=("auto", "bar", "lines", "json", "none"),
+        default="auto",
+        help="on stderr: a bar on terminals, else lines (auto); or the worker's JSON lines",
+    )
+
+
 def _front(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--front",
@@ -204,6 +268,13 @@ def _positive(text: str) -> int:
     return value
 
 
+def _size(text: str) -> int:
+    value = int(text)
+    if value < 64 or value % 64:
+        raise argparse.ArgumentTypeError(f"{value} is not a multiple of 64")
+    return value
+
+
 def _aspect(text: str) -> float:
     value = float(text)
     if not 1.0 <= value < float("inf"):
@@ -227,4 +298,4 @@ def _unit(text: str) -> float:
 
 # argparse names the converter in its message
 _positive.__name__, _seed.__name__, _unit.__name__ = "whole number", "whole number", "number"
-_aspect.__name__ = "number"
+_size.__name__, _aspect.__name__ = "whole number", "number"

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
+from ..core.guidance.options import PROVIDER_OPTIONS, check_models, with_absolute_folders
 from ..core.rig.lbs import sparsify
 from ..core.splats.axes import rotate_cloud, up_rotation
 from ..core.splats.cloud import SplatCloud
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 def run(options: argparse.Namespace) -> None:
     """Do it. Raises InputError for what cannot be used, WorkerError where the job failed, Cancelled."""
     check_output(options.out, "--out", (".blend", ".glb"))
+    of_guidance = guidance_options(options)
     if options.weights is not None:
         check_output(options.weights, "--weights", (".npz",))
     for given in (options.armature, options.splats, *([options.mesh] if options.mesh else [])):
@@ -64,7 +66,7 @@ def run(options: argparse.Namespace) -> None:
         "max_influences": options.max_influences,
         "seed": options.seed,
         "front": options.front,
-        "options": parse_guidance_options(options.guidance_option),
+        "options": of_guidance,
     }
     JobSettings.parse(settings)
     printer = ProgressPrinter(options.progress)
@@ -125,18 +127,36 @@ def clean(cloud: SplatCloud, drop_strays: bool, max_aspect: float, balls: bool) 
     return isotropic(cloud) if balls else cloud
 
 
-def parse_guidance_options(given: list[str]) -> dict[str, Any]:
+def parse_options(given: list[str], option: str = "--guidance-option") -> dict[str, Any]:
     """NAME=VALUE pairs as settings; a value that is JSON (a number, true) is taken as such, else as text."""
     values: dict[str, Any] = {}
     for pair in given:
         name, equals, text = pair.partition("=")
         if not name or not equals:
-            raise InputError(f"--guidance-option '{pair}' is not NAME=VALUE.")
+            raise InputError(f"{option} '{pair}' is not NAME=VALUE.")
         try:
             values[name] = json.loads(text)
         except ValueError:
             values[name] = text
     return values
+
+
+def guidance_options(options: argparse.Namespace) -> dict[str, Any]:
+    """The guidance's settings, of the types that it wants. Raises InputError for those it does not know."""
+    values = parse_options(options.guidance_option)
+    kinds = PROVIDER_OPTIONS.get(options.guidance)
+    if kinds is None:
+        if options.allow_download:
+            raise InputError(f"--allow-download is of no use: the guidance '{options.guidance}' fetches nothing.")
+        return values
+    texts = {pair.partition("=")[0]: pair.partition("=")[2] for pair in options.guidance_option}
+    for name, text in texts.items():
+        if isinstance(getattr(kinds(), name, None), str):
+            values[name] = text  # a folder called 7 is still a name
+    if options.allow_download:
+        values["allow_download"] = True
+    check_models(options.guidance, values)
+    return with_absolute_folders(options.guidance, values)
 
 
 def _work(python: Path, folder: Path, printer: ProgressPrinter) -> Result:

@@ -20,3 +20,7 @@ class Cancelled(GSkinError):
     """The person stopped the work (exit code 130)."""
 
     exit_code = 130
+
+
+class Stopped(Cancelled):
+    """The person stopped work that goes on later; says what stays (exit code 130)."""

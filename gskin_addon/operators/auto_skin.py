@@ -6,6 +6,8 @@ from __future__ import annotations
 import bpy
 
 from ..core.errors import Cancelled, GSkinError
+from ..core.guidance.options import check_models
+from ..core.worker.settings import JobSettings
 from ..ui import progress
 from ..ui.preferences import worker_python
 from ..ui.properties import chosen_armature, chosen_splats, proxy_mesh
@@ -84,6 +86,8 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
         settings = context.scene.gskin.as_job()
         python, _ = worker_python(context)
         try:
+            JobSettings.parse(settings)
+            check_models(settings["guidance"], settings.get("options", {}))
             self._job = SkinJob.start(
                 chosen_splats(context), chosen_armature(context), settings, python, proxy_mesh(context)
             )

@@ -34,6 +34,8 @@ class GSKIN_PT_main(bpy.types.Panel):
         column.separator()
         for name in ("preset", "guidance", "init", "front", "max_influences", "seed"):
             column.prop(settings, name)
+            if name == "guidance":
+                settings.models.draw(column, settings.guidance)
 
         if progress.state.job is None:
             row = layout.row()

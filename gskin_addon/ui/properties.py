@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 
 from ..core.guidance import BENCHMARK_ONLY, DEFAULT_GUIDANCE, GUIDANCE
@@ -10,13 +12,16 @@ from ..core.skinning.initial import INITIAL_WEIGHTS
 from ..core.skinning.presets import DEFAULT_PRESET, PRESETS
 from ..core.worker.settings import FRONTS, JobSettings
 from ..scene.splat_object import is_splat_object
+from .guidance import GSkinGuidance
 
 _INITIAL_TIPS = {
     "visibility": "Straight distance to the bones, farther where the splat cannot see the bone (the paper's)",
     "geodesic": "Distance through the inside of the body; better where limbs come close to each other",
 }
 _PRESETS = [(name, name.capitalize(), preset.description) for name, preset in PRESETS.items()]
-_GUIDANCE = [(name, name.capitalize(), tip) for name, tip in GUIDANCE.items() if name not in BENCHMARK_ONLY]
+_GUIDANCE = [
+    (name, name.replace("_", " ").title(), tip) for name, tip in GUIDANCE.items() if name not in BENCHMARK_ONLY
+]
 _INITIAL = [(name, name.capitalize(), _INITIAL_TIPS.get(name, "")) for name in INITIAL_WEIGHTS]
 _FRONTS = [(name, name.upper(), "") for name in FRONTS]
 _DEFAULTS = JobSettings()
@@ -71,6 +76,7 @@ class GSkinSettings(bpy.types.PropertyGroup):
         items=_GUIDANCE,
         default=DEFAULT_GUIDANCE,
     )
+    models: bpy.props.PointerProperty(type=GSkinGuidance)
     init: bpy.props.EnumProperty(
         name="Initial Weights",
         description="What the optimisation starts from",
@@ -97,10 +103,11 @@ class GSkinSettings(bpy.types.PropertyGroup):
         min=0,
     )
 
-    def as_job(self) -> dict[str, str | int]:
+    def as_job(self) -> dict[str, Any]:
         """The choices as settings of a job."""
         names = ("preset", "guidance", "init", "front", "max_influences", "seed")
-        return {name: getattr(self, name) for name in names}
+        options = self.models.as_options(self.guidance)
+        return {**{name: getattr(self, name) for name in names}, **({"options": options} if options else {})}
 
 
 def chosen_splats(context: bpy.types.Context) -> bpy.types.Object | None:

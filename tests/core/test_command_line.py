@@ -18,10 +18,10 @@ from PIL import Image
 
 import gskin_addon
 from gskin_addon import cli
-from gskin_addon.commands import render, rig
+from gskin_addon.commands import parser, render, rig
 from gskin_addon.commands.console import ProgressPrinter, describe
 from gskin_addon.commands.pose import parse_turns
-from gskin_addon.core.errors import Cancelled, GSkinError, InputError
+from gskin_addon.core.errors import Cancelled, GSkinError, InputError, Stopped
 from gskin_addon.core.splats.ply import write_ply
 from gskin_addon.core.worker.client import ProgressEvent
 
@@ -54,6 +54,10 @@ def one_sentence(text: str) -> bool:
         ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--field", "grid"],
         ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--rasterizer", "ray"],
         ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--arm", "x"],
+        ["train-guidance"],
+        ["train-guidance", "pairs", "assets"],
+        ["train-guidance", "pairs", "assets", "--out", "o", "--size", "500"],
+        ["train-guidance", "pairs", "assets", "--out", "o", "--validation", "2"],
         ["render", "a.ply", "--out", "o.png", "--background", "1", "2", "0"],
         ["render", "a.ply", "--out", "o.png", "--size", "many"],
     ],
@@ -97,7 +101,7 @@ def test_bad_input_exits_2_before_blender_is_needed(changed, word, rod, tmp_path
     if "python" in changed:
         monkeypatch.delenv("GSKIN_PYTHON")
     if "option" in changed:
-        monkeypatch.setattr(rig, "require_bpy", lambda: rig.parse_guidance_options([changed["option"]]))
+        monkeypatch.setattr(rig, "require_bpy", lambda: rig.parse_options([changed["option"]]))
     arguments = ["rig", str(tmp_path / changed.get("splats", "rod.ply")), "--armature", "rig.blend"]
     arguments += ["--out", str(tmp_path / changed.get("out", "out.blend"))]
     arguments += ["--weights", str(tmp_path / changed.get("weights", "w.npz"))]
@@ -114,6 +118,7 @@ def test_bad_input_exits_2_before_blender_is_needed(changed, word, rod, tmp_path
     [
         (KeyboardInterrupt(), 130, "Cancelled"),
         (Cancelled("x"), 130, "Cancelled"),
+        (Stopped("Stopped; 'x' stays."), 130, "Stopped; 'x' stays."),
         (InputError("the file 'x' is odd; mend it."), 2, "The file 'x' is odd; mend it."),
         (GSkinError("It broke."), 1, "It broke."),
         (OSError(errno.ENOSPC, "No space left on device", "w.npz"), 1, "disk is full"),
@@ -174,8 +179,37 @@ def test_parsing_of_turns_and_guidance_options():
     assert parse_turns([["arm", "1", "-2.5", "3e1"]]) == {"arm": (1.0, -2.5, 30.0)}
     with pytest.raises(InputError, match="arm"):
         parse_turns([["arm", "1", "much", "3"]])
-    given = rig.parse_guidance_options(["weights=/a=b.npz", "steps=3", "soft=true"])
+    given = rig.parse_options(["weights=/a=b.npz", "steps=3", "soft=true"])
     assert given == {"weights": "/a=b.npz", "steps": 3, "soft": True}
+
+
+def guidance_of(*arguments):
+    return rig.guidance_options(
+        parser.build().parse_args(["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", *arguments])
+    )
+
+
+def test_guidance_options_have_the_types_that_the_guidance_wants(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("7").mkdir()
+    given = ["model=7", "steps=4", "strength=0.5", "prompt=true colours"]
+    arguments = [word for pair in given for word in ("--guidance-option", pair)]
+    wanted = {"model": str(tmp_path / "7"), "steps": 4, "strength": 0.5, "prompt": "true colours"}
+    assert guidance_of("--guidance", "flux_repair", *arguments) == wanted
+    assert guidance_of("--guidance", "flux_repair", "--guidance-option", "model=a/b", "--allow-download") == {
+        "model": "a/b",
+        "allow_download": True,
+    }
+    assert guidance_of("--guidance", "oracle", "--guidance-option", "a=1") == {"a": 1}
+    for arguments, words in (
+        (("--guidance", "flux_repair", "--guidance-option", "steps=many"), "whole number"),
+        (("--guidance", "flux_repair", "--guidance-option", "color=red"), "no option 'color'"),
+        (("--guidance", "flux_repair"), "No FLUX.2 .* is named"),
+        (("--guidance", "flux_repair", "--guidance-option", "model=8"), "'8', does not exist"),
+        (("--guidance", "elastic", "--allow-download"), "fetches nothing"),
+    ):
+        with pytest.raises(InputError, match=words):
+            guidance_of(*arguments)
 
 
 def test_progress_on_lines_bar_and_json():

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 GUIDANCE = {
     "elastic": "Built in: poses the splats as an elastic body that hangs on its bones, and renders that.",
+    "flux_repair": "Your own FLUX.2 [klein] weights (4B: Apache-2.0): repairs renders of the posed splats.",
+    "lightning_drag": "Drags the joints with LightningDrag, the paper's diffusion model; you bring its weights.",
     "oracle": "Tests and benchmarks only: poses the splats with weights that are known to be right.",
 }
 DEFAULT_GUIDANCE = "elastic"

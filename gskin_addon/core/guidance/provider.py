@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,13 +16,19 @@ from ..splats.cloud import SplatCloud
 from .control import ControlSignal
 
 
+def never_stop(done: float, message: str) -> None:
+    """A `tick` that nobody listens to."""
+
+
 @dataclass(frozen=True)
 class GuidanceContext:
     """One object, in unit size.
 
     cloud, skeleton: in the same space; initial (N, B): the weights that learning starts from;
     distances (N, B): from splats to bones through the body; index (N,): which of the job's splats these are,
-    all of them in their order when left out; options: the provider's own settings.
+    all of them in their order when left out; options: the provider's own settings; seed: of all its randomness;
+    checkpoint: a folder where it may keep what it has made, none when left out; tick: to be called every now and
+    then with the done part (0 to 1) of all images and a few words, raises Cancelled when the person stops the job.
     """
 
     cloud: SplatCloud
@@ -31,6 +38,9 @@ class GuidanceContext:
     index: NDArray[np.int64] | None = None
     background: tuple[float, float, float] = (1.0, 1.0, 1.0)
     options: Mapping[str, Any] = field(default_factory=dict)
+    seed: int = 0
+    checkpoint: Path | None = None
+    tick: Callable[[float, str], None] = never_stop
 
 
 class Provider(Protocol):

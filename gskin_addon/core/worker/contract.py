@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..guidance.options import deciding
 from ..rig.skeleton import Skeleton
 from ..splats.cloud import SplatCloud
 from .checks import check_inputs
@@ -125,7 +126,8 @@ def fingerprint(cloud: SplatCloud, skeleton: Skeleton, settings: Mapping[str, An
         InputError: settings that JSON cannot hold.
     """
     try:
-        canonical = json.dumps(dict(settings), sort_keys=True, allow_nan=False)
+        json.dumps(dict(settings), allow_nan=False)
+        canonical = json.dumps(deciding(settings), sort_keys=True, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise InputError(f"The job's settings must be plain numbers, words and lists ({error}).") from None
     digest = hashlib.blake2b(digest_size=16)

@@ -100,7 +100,15 @@ def run(
 
     progress("guidance", INITIAL_END, {}, "Guidance images")
     context = GuidanceContext(
-        subset.cloud, skeleton, initial, distances, index=subset.index, options=chosen.options
+        subset.cloud,
+        skeleton,
+        initial,
+        distances,
+        index=subset.index,
+        options=chosen.options,
+        seed=chosen.seed,
+        checkpoint=checkpoint,
+        tick=lambda done, message: progress("guidance", _guidance_part(done), {}, message),
     )
     rng = np.random.default_rng(chosen.seed)
     signals = make_signals(skeleton, cameras, preset.poses_per_view, rng)
@@ -183,12 +191,17 @@ def _to_unit_size(cloud: SplatCloud, skeleton: Skeleton) -> tuple[SplatCloud, Sk
     return moved, skeleton.moved(np.eye(3), 1.0 / diagonal, -centre / diagonal)
 
 
+def _guidance_part(done: float) -> float:
+    """The part of the whole run that is done when `done` (0 to 1) of the guidance is."""
+    return INITIAL_END + (GUIDANCE_END - INITIAL_END) * done
+
+
 def _make_guidance(provider: Any, signals: Sequence[ControlSignal], progress: Progress) -> list[Target]:
     targets = []
     images = provider.images(signals)
     for number, signal in enumerate(signals):
-        done = INITIAL_END + (GUIDANCE_END - INITIAL_END) * number / len(signals)
-        progress("guidance", done, {}, f"Guidance image {number + 1} of {len(signals)}")
+        done = number / len(signals)
+        progress("guidance", _guidance_part(done), {}, f"Guidance image {number + 1} of {len(signals)}")
         targets.append(Target(signal.camera, signal.transforms, next(images)))
     return targets
 

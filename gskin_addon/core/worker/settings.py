@@ -10,6 +10,7 @@ from typing import Any
 
 from ..errors import InputError
 from ..guidance import DEFAULT_GUIDANCE, GUIDANCE
+from ..guidance.options import check_options
 from ..render.backends import AUTO, BACKENDS
 from ..skinning.fields import WEIGHT_FIELDS
 from ..skinning.initial import INITIAL_WEIGHTS
@@ -81,6 +82,7 @@ class JobSettings:
         if not isinstance(settings.mesh, str):
             raise InputError(f"The job's mesh is {settings.mesh!r}; it must be the path of a mesh file.")
         Hygiene.parse(settings.hygiene)
+        check_options(settings.guidance, settings.options)
         for name in ("max_influences", "seed"):
             value = getattr(settings, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < 0:

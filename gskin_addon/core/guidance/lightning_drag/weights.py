@@ -1,0 +1,257 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Loading the models of LightningDrag, and refusing files that are not theirs by name."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from ...errors import InputError
+from ..model_files import load_tensors
+from .appearance import absent_keys, prune
+from .files import APPEARANCE, ATTENTION, POINTS, Files, read_table
+from .image_tokens import ImageTokens
+from .lora import merge_lora
+from .point_embedding import PointEmbedding, width_of
+from .processors import install, self_attentions
+
+
+@dataclass
+class LightningDrag:
+    """All models, in evaluation mode and without gradients.
+
+    unet: the denoising UNet, whose attention processors are also in `processors`, in the published order;
+    appearance: the pruned appearance encoder; text (1, 77, width): the empty prompt; places: the self-attentions'
+    names in the order of the bank; scheduler: the base model's configuration.
+    """
+
+    unet: Any
+    processors: nn.ModuleList
+    point_embedding: PointEmbedding
+    appearance: Any
+    image_encoder: Any
+    image_tokens: ImageTokens
+    vae: Any
+    text: torch.Tensor
+    places: list[str]
+    scheduler: dict[str, Any]
+
+    @property
+    def encoders(self) -> tuple[nn.Module, ...]:
+        """What is needed once per view only."""
+        return (self.appearance, self.image_encoder, self.image_tokens)
+
+    @property
+    def denoisers(self) -> tuple[nn.Module, ...]:
+        """What is needed for every image."""
+        return (self.unet, self.point_embedding, self.vae)
+
+
+def load(files: Files, dtype: torch.dtype, trained: torch.dtype | None = None) -> LightningDrag:
+    """Load everything to the CPU as `dtype`; what fine-tuning changes as `trained`, where that is given.
+
+    Raises:
+        InputError: a file is damaged, or holds the weights of something else.
+    """
+    from diffusers import AutoencoderKL, UNet2DConditionModel
+    from transformers import CLIPVisionModelWithProjection
+
+    _quiet()
+    trained = trained or dtype
+    unet = _pretrained(UNet2DConditionModel, files.base / "unet", "base model's UNet", torch_dtype=dtype)
+    if files.lcm_lora is not None:
+        path = files.lcm_lora / "pytorch_lora_weights.safetensors"
+        merge_lora(unet, load_tensors(path, "LCM-LoRA"), f"The LCM-LoRA '{path}'")
+    points = load_point_embedding(files.lightning_drag / POINTS).to(trained)
+    processors = install(unet, points.embeddings)
+    for number, processor in enumerate(processors):
+        processor.to(dtype if number % 2 else trained)
+    path = files.lightning_drag / ATTENTION
+    load_strictly(processors, load_tensors(path, "attention weights"), f"The attention weights '{path}'")
+    appearance = load_appearance(files.lightning_drag / APPEARANCE, unet.config, trained)
+    folder = files.ip_adapter / "models/image_encoder"
+    encoder = _pretrained(CLIPVisionModelWithProjection, folder, "image encoder", dtype=dtype)
+    tokens = load_ip_adapter(_ip_adapter_file(files.ip_adapter), processors, encoder.config.projection_dim).to(dtype)
+    vae = _pretrained(AutoencoderKL, files.vae, "VAE", torch_dtype=dtype)
+    if vae.config.latent_channels != 4 or len(vae.config.block_out_channels) != 4:
+        raise InputError(f"The VAE in '{files.vae}' is not one of Stable Diffusion 1.5; choose such a one.")
+    vae.enable_slicing()
+    model = LightningDrag(
+        unet=unet,
+        processors=processors,
+        point_embedding=points,
+        appearance=appearance,
+        image_encoder=encoder,
+        image_tokens=tokens,
+        vae=vae,
+        text=empty_prompt(files.base, unet.config.cross_attention_dim),
+        places=self_attentions(unet),
+        scheduler=_scheduler(files.base / "scheduler/scheduler_config.json"),
+    )
+    for module in (*model.encoders, *model.denoisers):
+        module.eval().requires_grad_(False)
+    return model
+
+
+def load_strictly(module: nn.Module, state: Mapping[str, Any], what: str) -> None:
+    """Load all of `state` into all of `module`. Raises InputError naming the first tensor that does not fit."""
+    own = module.state_dict()
+    for key, tensor in own.items():
+        given = state.get(key)
+        if not isinstance(given, torch.Tensor):
+            raise InputError(f"{what} lacks the tensor '{key}'; get the right file.")
+        if given.shape != tensor.shape:
+            raise InputError(
+                f"{what} has '{key}' as {tuple(given.shape)}, but the other models need {tuple(tensor.shape)}; "
+                "choose files that belong together."
+            )
+    extra = sorted(set(state) - set(own))
+    if extra:
+        raise InputError(f"{what} has a tensor '{extra[0]}' that does not belong there; get the right file.")
+    module.load_state_dict(dict(state))
+
+
+def load_point_embedding(path: Path) -> PointEmbedding:
+    """The point embedding of a file with its thirteen tensors."""
+    state = load_tensors(path, "point embedding")
+    points = PointEmbedding(width_of(state))
+    load_strictly(points, state, f"The point embedding '{path}'")
+    return points
+
+
+def load_appearance(folder: Path, base: Mapping[str, Any], dtype: torch.dtype) -> Any:
+    """The appearance encoder in `folder` as `dtype`, pruned to what its checkpoint holds; it must fit the UNet `base`.
+
+    Raises:
+        InputError: its tensors are not exactly the stock UNet's without `absent_keys`.
+    """
+    from diffusers import UNet2DConditionModel
+
+    config = read_table(folder / "config.json")
+    what = f"The appearance encoder in '{folder}'"
+    if config.get("in_channels", 4) != 4:
+        raise InputError(f"{what} takes {config['in_channels']} channels, not 4; get the right file.")
+    for name in ("block_out_channels", "cross_attention_dim", "attention_head_dim"):
+        if name in config and _plain(config[name]) != _plain(base[name]):
+            raise InputError(
+                f"{what} has {name} {config[name]}, but the base model has {base[name]}; "
+                "choose models that belong together."
+            )
+    # Published configurations name a class of their own; only what a stock UNet knows counts.
+    stock: Any = UNet2DConditionModel
+    known = set(inspect.signature(stock.__init__).parameters)
+    with torch.device("meta"):
+        unet = stock.from_config({k: v for k, v in config.items() if k in known})
+    state = load_tensors(folder / "diffusion_pytorch_model.safetensors", "appearance encoder")
+    state = {key: tensor.to(dtype) for key, tensor in state.items()}
+    absent = absent_keys(unet)
+    try:
+        result = unet.load_state_dict(state, strict=False, assign=True)
+    except RuntimeError as error:
+        first = str(error).strip().splitlines()[-1].strip().rstrip(".")
+        raise InputError(f"{what} does not fit its config.json ({first}); get both files again.") from None
+    if result.unexpected_keys:
+        raise InputError(f"{what} has a tensor '{result.unexpected_keys[0]}' of another model; get the right file.")
+    if set(result.missing_keys) != absent:
+        wrong = sorted(set(result.missing_keys) ^ absent)[0]
+        verb = "lacks" if wrong in result.missing_keys else "has"
+        raise InputError(f"{what} {verb} the tensor '{wrong}', unlike LightningDrag's; get the right file.")
+    prune(unet)
+    return unet
+
+
+def load_ip_adapter(path: Path, processors: nn.ModuleList, width: int) -> ImageTokens:
+    """Put the IP-Adapter's keys and values into `processors`; returns its projection of the image."""
+    what = f"The IP-Adapter '{path}'"
+    groups: dict[str, dict[str, Any]] = {"image_proj": {}, "ip_adapter": {}}
+    for key, value in load_tensors(path, "IP-Adapter").items():
+        group, _, rest = key.partition(".")
+        if group not in groups:
+            raise InputError(f"{what} has '{key}', which does not belong there; choose ip-adapter_sd15.")
+        groups[group].update({rest: value} if rest else value)
+    cross = nn.ModuleDict({str(i): processors[i] for i in range(1, len(processors), 2)})
+    load_strictly(cross, groups["ip_adapter"], what)
+    context: int = processors[1].to_k_ip.in_features  # type: ignore[assignment, union-attr]
+    tokens = ImageTokens(width, context)
+    load_strictly(tokens, groups["image_proj"], what)
+    return tokens
+
+
+def empty_prompt(base: Path, width: int) -> torch.Tensor:
+    """The text encoder's states (1, 77, width) of "", float32; the encoder is let go."""
+    from transformers import CLIPTextModel, CLIPTokenizer
+
+    encoder = _pretrained(CLIPTextModel, base / "text_encoder", "text encoder", dtype=torch.float32)
+    if encoder.config.hidden_size != width:
+        raise InputError(
+            f"The text encoder in '{base}' has width {encoder.config.hidden_size}, its UNet takes {width}; "
+            "choose a whole model."
+        )
+    try:
+        tokenizer = CLIPTokenizer.from_pretrained(base / "tokenizer", local_files_only=True)
+        length = encoder.config.max_position_embeddings
+        tokens = tokenizer("", padding="max_length", max_length=length, return_tensors="pt").input_ids
+        with torch.no_grad():
+            states: torch.Tensor = encoder(tokens)[0]
+    except Exception as error:  # of tokenizers, of transformers
+        raise InputError(f"The tokenizer in '{base}' does not work ({_line(error)}); get its files again.") from error
+    return states
+
+
+def _pretrained(kind: Any, folder: Path, what: str, **settings: Any) -> Any:
+    """A model of diffusers or transformers from a local folder, with every tensor from the file."""
+    names = {path.name for path in folder.iterdir()}
+    if not any(
+        f"{stem}.{end}" in names
+        for stem in ("diffusion_pytorch_model", "model", "pytorch_model")
+        for end in ("safetensors", "bin")
+    ):
+        settings["variant"] = "fp16"
+    try:
+        model, report = kind.from_pretrained(folder, local_files_only=True, output_loading_info=True, **settings)
+    except Exception as error:  # each library has its own
+        raise InputError(f"The {what} in '{folder}' cannot be loaded ({_line(error)}); get its files again.") from error
+    for complaint, words in (("missing_keys", "lacks the tensor"), ("mismatched_keys", "has another shape of")):
+        if report[complaint]:
+            first = sorted(str(key) for key in report[complaint])[0]
+            raise InputError(f"The {what} in '{folder}' {words} '{first}'; get the right files.")
+    return model
+
+
+def _quiet() -> None:
+    """No progress bars of the libraries: the worker has its own."""
+    from diffusers.utils import logging as of_diffusers
+    from transformers.utils import logging as of_transformers
+
+    loggers: tuple[Any, ...] = (of_diffusers, of_transformers)
+    for logger in loggers:
+        logger.disable_progress_bar()
+
+
+def _ip_adapter_file(folder: Path) -> Path:
+    path = folder / "models/ip-adapter_sd15.bin"
+    return path if path.is_file() else path.with_suffix(".safetensors")
+
+
+def _scheduler(path: Path) -> dict[str, Any]:
+    config = read_table(path)
+    if config.get("prediction_type", "epsilon") != "epsilon":
+        raise InputError(
+            f"The base model's '{path}' says that it predicts {config['prediction_type']}, not epsilon; "
+            "choose a Stable Diffusion 1.5 inpainting model."
+        )
+    return config
+
+
+def _plain(value: Any) -> Any:
+    return list(value) if isinstance(value, (list, tuple)) else value
+
+
+def _line(error: BaseException) -> str:
+    return (str(error).strip() or type(error).__name__).split("\n")[0].rstrip(".")

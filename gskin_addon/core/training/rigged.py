@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rigged meshes to learn from: a folder of flattened assets, read as splats with the artist's weights.
+
+A folder holds `<name>.npz` files, itself or in `npz/`, and may have a `catalog.json` with `assets[]` of `name`,
+`npz`, `family`, `license`, `author`, `near_duplicate_of`. Arrays of a file, in a Z-up world: verts (V,3), faces (F,3),
+corner_rgb (F,3,3) uint8, sparse weights w_row, w_col, w_val, bone_names, bone_parent, bone_head, bone_tail (B,3),
+bone_rest (B,4,4), bone_used (B,) and maybe anim_mats (A,B,4,4).
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..rig.skeleton import Skeleton
+from ..splats.cloud import SplatCloud
+from ..splats.from_mesh import sample_mesh
+
+FREE_LICENCES = ("CC0", "MIT", "Apache-2.0", "BSD", "CC-BY-3.0", "CC-BY-4.0")
+"""Licences under which weights learned from an asset may be passed on (CC-BY with its credit)."""
+
+_ARRAYS = ("verts", "faces", "corner_rgb", "w_row", "w_col", "w_val", "bone_names", "bone_parent")
+_RIG = ("bone_head", "bone_tail", "bone_rest", "bone_used")
+
+
+@dataclass(frozen=True)
+class Asset:
+    """One entry of a folder. family: assets that share rigs or meshes, never split between train and test."""
+
+    name: str
+    path: Path
+    family: str
+    license: str = ""
+    author: str = ""
+
+
+@dataclass(frozen=True)
+class RiggedSplats:
+    """A cloud, its skeleton, and what an artist made of them.
+
+    weights (N, B) float32, rows sum to 1; clip (A, B, 4, 4) deform transforms of an animation, or None.
+    """
+
+    name: str
+    cloud: SplatCloud
+    skeleton: Skeleton
+    weights: NDArray[np.float32]
+    clip: NDArray[np.float64] | None
+
+
+def list_assets(folder: Path, *, any_licence: bool = False) -> list[Asset]:
+    """The assets of a folder by name, without near duplicates.
+
+    Where a catalogue states licences, only assets of `FREE_LICENCES` are taken unless `any_licence`; without a
+    catalogue the folder's owner answers for them, and every asset is a family of its own.
+
+    Raises:
+        InputError: there is no such folder, or nothing in it to learn from.
+    """
+    if not folder.is_dir():
+        raise InputError(f"The assets' folder '{folder}' does not exist; name a folder of rigged .npz assets.")
+    catalog = folder / "catalog.json"
+    if catalog.is_file():
+        found = [_entry(folder, entry) for entry in _entries(catalog) if not entry.get("near_duplicate_of")]
+        if not any_licence:
+            found = [asset for asset in found if asset.license in FREE_LICENCES]
+    else:
+        inner = folder / "npz" if (folder / "npz").is_dir() else folder
+        found = [Asset(path.stem, path, path.stem) for path in inner.glob("*.npz")]
+    found = sorted((asset for asset in found if asset.path.is_file()), key=lambda asset: asset.name)
+    if not found:
+        raise InputError(f"'{folder}' holds no assets to learn from; put rigged .npz assets there.")
+    return found
+
+
+def load_asset(path: Path, count: int, seed: int = 0) -> RiggedSplats:
+    """Read an asset and cover its surface with `count` splats.
+
+    Bones that carry no weight (control bones) are left out; their children hang on the next used ancestor.
+
+    Raises:
+        InputError: the file is missing, damaged, or has no surface or no weights.
+    """
+    data = _read(path)
+    verts, faces = data["verts"].astype(np.float64), data["faces"]
+    order, parents = _used_bones(data["bone_used"], data["bone_parent"].astype(int))
+    if not order:
+        raise InputError(f"'{path}' has no bone that carries weights; leave the asset out.")
+    cloud, face, bary = sample_mesh(
+        verts, faces, data["corner_rgb"] / 255.0, count, np.random.default_rng(seed)
+    )
+    vertex_weights = np.zeros((len(verts), len(data["bone_used"])), np.float32)
+    vertex_weights[data["w_row"], data["w_col"]] = data["w_val"]
+    weights = np.einsum("nk,nkb->nb", bary, vertex_weights[:, order][faces[face]])
+    weights /= np.maximum(weights.sum(1, keepdims=True), 1e-12)
+    skeleton = Skeleton(
+        names=tuple(str(name) for name in data["bone_names"][order]),
+        parents=np.array(parents),
+        heads=data["bone_head"][order].astype(np.float64),
+        tails=data["bone_tail"][order].astype(np.float64),
+        rest=data["bone_rest"][order].astype(np.float64),
+    )
+    clip = data["anim_mats"][:, order].astype(np.float64) if "anim_mats" in data else None
+    return RiggedSplats(path.stem, cloud, skeleton, weights.astype(np.float32), clip)
+
+
+def _entries(catalog: Path) -> list[dict[str, Any]]:
+    try:
+        entries = json.loads(catalog.read_text(encoding="utf-8"))["assets"]
+        return [entry for entry in entries if entry["name"] and entry["npz"]]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"'{catalog}' is not a catalogue of assets ({error}); correct or remove it.") from None
+
+
+def _entry(folder: Path, entry: dict[str, Any]) -> Asset:
+    name = str(entry["name"])
+    return Asset(
+        name,
+        folder / str(entry["npz"]),
+        str(entry.get("family") or name),
+        str(entry.get("license") or ""),
+        str(entry.get("author") or ""),
+    )
+
+
+def _read(path: Path) -> dict[str, NDArray[Any]]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            data = {name: file[name] for name in file.files}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(f"The asset '{path}' cannot be read ({error}); leave it out or get it again.") from None
+    missing = [name for name in (*_ARRAYS, *_RIG) if name not in data]
+    if missing:
+        raise InputError(f"The asset '{path}' lacks the array {missing[0]}; leave it out or write it again.")
+    return data
+
+
+def _used_bones(used: NDArray[np.bool_], parent: NDArray[np.int64]) -> tuple[list[int], list[int]]:
+    """Used bones, parents first, and the position of each one's next used ancestor (-1 at a root)."""
+
+    def ancestors(bone: int) -> list[int]:
+        line = []
+        while parent[bone] >= 0:
+            bone = int(parent[bone])
+            line.append(bone)
+        return line
+
+    order = sorted(np.flatnonzero(used).tolist(), key=lambda bone: len(ancestors(bone)))
+    position = {bone: i for i, bone in enumerate(order)}
+    return order, [next((position[a] for a in ancestors(b) if a in position), -1) for b in order]

@@ -1,0 +1,252 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the person brings: complete and right, or refused by name."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+import torch
+
+pytest.importorskip("diffusers")
+
+from diffusers import StableDiffusionPipeline
+from safetensors.torch import load_file, save_file
+
+from gskin_addon.core.errors import InputError
+from gskin_addon.core.guidance.lightning_drag.files import find_files
+from gskin_addon.core.guidance.lightning_drag.lora import merge_lora
+from gskin_addon.core.guidance.lightning_drag.weights import load, load_appearance, load_point_embedding
+from gskin_addon.core.guidance.options import LightningDragOptions
+from tests.helpers.tiny_lightning import CONTEXT, kohya_lora, tiny_unet
+
+ENCODER = "lightning_drag/appearance_encoder/diffusion_pytorch_model.safetensors"
+POINTS = "lightning_drag/point_embedding/point_embedding.pt"
+ATTENTION = "lightning_drag/lightning-drag-sd15-attn.bin"
+ADAPTER = "ip_adapter/models/ip-adapter_sd15.bin"
+LORA = "lcm_lora/pytorch_lora_weights.safetensors"
+UNET = "base/unet/diffusion_pytorch_model.safetensors"
+
+
+@pytest.fixture
+def mine(models, tmp_path):
+    """A copy of the models that may be spoilt."""
+    return shutil.copytree(models, tmp_path / "models")
+
+
+def load_all(folder, **options):
+    return load(find_files(LightningDragOptions(models=str(folder), **options)), torch.float32)
+
+
+def test_every_tensor_comes_from_its_file(models):
+    model = load_all(models, scheduler="ddim")
+    attention = torch.load(models / ATTENTION, weights_only=True)
+    adapter = torch.load(models / ADAPTER, weights_only=True)
+    state = model.processors.state_dict()
+    for key, tensor in state.items():
+        source = adapter["ip_adapter"] if "_ip." in key else attention  # the adapter's overrides
+        torch.testing.assert_close(tensor, source[key], rtol=0, atol=0)
+    assert not torch.equal(attention["1.to_k_ip.weight"], adapter["ip_adapter"]["1.to_k_ip.weight"])
+    assert model.appearance.state_dict().keys() == load_file(models / ENCODER).keys()
+    assert not any(parameter.is_meta for parameter in model.appearance.parameters())
+    base = load_file(models / UNET)
+    for key, tensor in base.items():
+        torch.testing.assert_close(model.unet.state_dict()[key], tensor, rtol=0, atol=0)
+    assert model.text.shape == (1, 77, CONTEXT)
+    assert list(model.image_tokens.state_dict()) == ["proj.weight", "proj.bias", "norm.weight", "norm.bias"]
+
+
+def test_the_empty_prompt_is_a_start_and_ends(models):
+    from transformers import CLIPTextModel
+
+    encoder = CLIPTextModel.from_pretrained(models / "base/text_encoder")
+    with torch.no_grad():
+        states = encoder(torch.tensor([[6] + [7] * 76]))[0]
+    torch.testing.assert_close(load_all(models, scheduler="ddim").text, states)
+
+
+def test_lora_is_merged_for_lcm_only(models):
+    place = "down_blocks.0.attentions.0.transformer_blocks.0.attn1.to_q.weight"
+    lora, base = load_file(models / LORA), load_file(models / UNET)[place]
+    stem = "lora_unet_" + place.removesuffix(".weight").replace(".", "_")
+    change = 0.5 * lora[f"{stem}.lora_up.weight"] @ lora[f"{stem}.lora_down.weight"]  # alpha 1, rank 2
+    merged = load_all(models, scheduler="lcm").unet.state_dict()[place]
+    torch.testing.assert_close(merged, base + change)
+    torch.testing.assert_close(load_all(models, scheduler="ddim").unet.state_dict()[place], base)
+
+
+@torch.no_grad()
+def test_merging_equals_what_diffusers_does_with_peft():
+    pytest.importorskip("peft")
+    torch.manual_seed(0)
+    ours, theirs = tiny_unet(9), tiny_unet(9)
+    theirs.load_state_dict(ours.state_dict())
+    latents, text = torch.randn(2, 9, 8, 8), torch.randn(2, 77, CONTEXT)
+    before = ours(latents, 100, text)[0]
+    lora = kohya_lora(ours)
+    state, alphas = StableDiffusionPipeline.lora_state_dict({key: tensor.clone() for key, tensor in lora.items()})
+    StableDiffusionPipeline.load_lora_into_unet(state, alphas, unet=theirs)
+    assert merge_lora(ours, lora, "The LoRA") == 7
+    after = ours(latents, 100, text)[0]
+    torch.testing.assert_close(after, theirs(latents, 100, text)[0], atol=2e-6, rtol=1e-5)
+    assert (after - before).abs().max() > 1e-3
+
+
+def test_a_lora_in_diffusers_names_is_merged_alike():
+    torch.manual_seed(0)
+    ours, theirs = tiny_unet(9), tiny_unet(9)
+    theirs.load_state_dict(ours.state_dict())
+    lora = kohya_lora(ours)
+    flat = {name.replace(".", "_"): name for name, _ in ours.named_modules()}
+    renamed = {}
+    for key, tensor in lora.items():
+        stem, _, end = key.removeprefix("lora_unet_").partition(".")
+        if end != "alpha":
+            renamed[f"unet.{flat[stem]}.{'lora_A' if 'down' in end else 'lora_B'}.weight"] = tensor
+    same = {key: torch.tensor(2.0) if key.endswith("alpha") else tensor for key, tensor in lora.items()}
+    merge_lora(ours, renamed, "The LoRA")
+    merge_lora(theirs, same, "The LoRA")
+    for a, b in zip(ours.parameters(), theirs.parameters(), strict=True):
+        torch.testing.assert_close(a, b, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("gone", "words"),
+    [
+        (UNET, "base inpainting model .* lacks 'unet/diffusion_pytorch_model.safetensors"),
+        ("base/tokenizer/vocab.json", "lacks 'tokenizer/vocab.json'"),
+        ("vae/config.json", "VAE .* lacks 'config.json'"),
+        ("ip_adapter/models/image_encoder/model.safetensors", "IP-Adapter .* lacks 'models/image_encoder"),
+        (ENCODER, "LightningDrag checkpoint .* lacks 'appearance_encoder"),
+        (POINTS, "lacks 'point_embedding/point_embedding.pt'"),
+        (ATTENTION, "lacks 'lightning-drag-sd15-attn.bin'"),
+        (LORA, "LCM-LoRA .* lacks 'pytorch_lora_weights.safetensors'"),
+    ],
+)
+def test_missing_files_are_named(mine, gone, words):
+    (mine / gone).unlink()
+    with pytest.raises(InputError, match=words):
+        load_all(mine)
+
+
+def test_ddim_needs_no_lora(mine):
+    shutil.rmtree(mine / "lcm_lora")
+    load_all(mine, scheduler="ddim")
+    with pytest.raises(InputError, match="folder of the LCM-LoRA"):
+        load_all(mine)
+
+
+def test_nothing_named_says_where_to_get_it():
+    with pytest.raises(InputError, match=r"No base inpainting model is named.*dreamshaper-8-inpainting.*OpenRAIL"):
+        find_files(LightningDragOptions())
+
+
+def edit_config(path, **values):
+    path.write_text(json.dumps({**json.loads(path.read_text()), **values}))
+
+
+def test_a_base_model_without_inpainting_is_refused(mine):
+    edit_config(mine / "base/unet/config.json", in_channels=4)
+    with pytest.raises(InputError, match="no inpainting model: its UNet takes 4 channels, not 9"):
+        load_all(mine)
+
+
+def test_a_base_model_of_another_family_is_refused(mine):
+    edit_config(mine / "base/unet/config.json", use_linear_projection=True)
+    with pytest.raises(InputError, match=r"not of the family of Stable Diffusion 1\.5"):
+        load_all(mine)
+
+
+def test_a_base_model_that_predicts_velocity_is_refused(mine):
+    edit_config(mine / "base/scheduler/scheduler_config.json", prediction_type="v_prediction")
+    with pytest.raises(InputError, match="predicts v_prediction, not epsilon"):
+        load_all(mine)
+
+
+def spoil(path, change):
+    read, write = (load_file, save_file) if path.suffix == ".safetensors" else (torch.load, torch.save)
+    state = read(path)
+    change(state)
+    write(state, path)
+
+
+def rename(old, new):
+    return lambda state: state.update({new: state.pop(old)})
+
+
+def reshape(key, shape):
+    return lambda state: state.update({key: torch.zeros(shape)})
+
+
+@pytest.mark.parametrize(
+    ("file", "change", "words"),
+    [
+        (UNET, lambda s: s.pop("conv_in.bias"), "UNet.*conv_in.bias"),
+        (UNET, reshape("conv_in.weight", (8, 4, 3, 3)), "base model's UNet"),
+        ("vae/diffusion_pytorch_model.safetensors", lambda s: s.pop("encoder.conv_in.bias"), "VAE.*conv_in.bias"),
+        (
+            "base/text_encoder/model.safetensors",
+            lambda s: s.pop(next(key for key in s if "final_layer_norm.bias" in key)),
+            "text encoder .* lacks the tensor '.*final_layer_norm.bias'",
+        ),
+        (
+            "ip_adapter/models/image_encoder/model.safetensors",
+            lambda s: s.pop("visual_projection.weight"),
+            "image encoder .* lacks the tensor 'visual_projection.weight'",
+        ),
+        (POINTS, lambda s: s.pop("downsample_blocks_unet.2.conv2.weight"), "point embedding .* lacks the tensor"),
+        (POINTS, rename("conv_in.weight", "module.conv_in.weight"), "lacks the tensor 'conv_in.weight'"),
+        (ATTENTION, lambda s: s.pop("30.proj.weight"), "attention weights .* lacks the tensor '30.proj.weight'"),
+        (ATTENTION, reshape("0.proj.weight", (8, 9)), "'0.proj.weight' as \\(8, 9\\), but .* need \\(8, 8\\)"),
+        (ATTENTION, reshape("32.proj.weight", (8, 8)), "a tensor '32.proj.weight' that does not belong there"),
+        (ADAPTER, lambda s: s["ip_adapter"].pop("31.to_v_ip.weight"), "IP-Adapter .* lacks .*'31.to_v_ip.weight'"),
+        (ADAPTER, lambda s: s["image_proj"].update(latents=torch.zeros(1)), "'latents' that does not belong"),
+        (ADAPTER, rename("image_proj", "projection"), "has 'projection', which does not belong there"),
+        (ENCODER, lambda s: s.pop("conv_in.bias"), "appearance encoder .* lacks the tensor 'conv_in.bias'"),
+        (ENCODER, reshape("conv_norm_out.bias", (8,)), "has the tensor 'conv_norm_out.bias', unlike LightningDrag's"),
+        (ENCODER, reshape("controlnet.bias", (8,)), "a tensor 'controlnet.bias' of another model"),
+        (ENCODER, reshape("conv_in.weight", (8, 9, 3, 3)), "does not fit its config.json .*conv_in.weight"),
+        (LORA, reshape("lora_unet_conv_in.alpha", ()), "lacks one half of the layer 'conv_in'"),
+        (LORA, reshape("lora_te_text_model.lora_up.weight", (1, 1)), "which the base model lacks"),
+        (LORA, reshape("conv_in.weight", (1,)), "which is no part of a LoRA"),
+    ],
+)
+def test_wrong_tensors_are_named(mine, file, change, words):
+    spoil(mine / file, change)
+    with pytest.raises(InputError, match=words):
+        load_all(mine)
+
+
+@pytest.mark.parametrize("file", [POINTS, ATTENTION, ADAPTER, ENCODER, LORA, UNET])
+def test_damaged_files_are_named(mine, file):
+    (mine / file).write_bytes(b"version https://git-lfs.github.com/spec/v1\n")
+    with pytest.raises(InputError, match=str((mine / file).parent)):
+        load_all(mine)
+
+
+def test_a_pickle_with_code_in_it_is_not_run(tmp_path):
+    class Evil:
+        def __reduce__(self):
+            return (tmp_path.joinpath("run").touch, ())
+
+    path = tmp_path / "point_embedding.pt"
+    torch.save({"conv_in.weight": Evil()}, path)
+    with pytest.raises(InputError, match="cannot be read as plain weights"):
+        load_point_embedding(path)
+    assert not (tmp_path / "run").exists()
+
+
+def test_models_that_do_not_belong_together_are_refused(mine, models):
+    edit_config(mine / "lightning_drag/appearance_encoder/config.json", block_out_channels=[8, 16, 16, 16])
+    with pytest.raises(InputError, match="has block_out_channels"):
+        load_all(mine)
+    edit_config(mine / "lightning_drag/appearance_encoder/config.json", in_channels=9)
+    with pytest.raises(InputError, match="takes 9 channels, not 4"):
+        load_appearance(mine / "lightning_drag/appearance_encoder", tiny_unet(9).config, torch.float32)
+
+
+def test_half_precision_files_are_taken_where_there_are_no_others(mine):
+    unet = mine / "base/unet"
+    (unet / "diffusion_pytorch_model.safetensors").rename(unet / "diffusion_pytorch_model.fp16.safetensors")
+    assert load_all(mine, scheduler="ddim").unet.config.in_channels == 9
