@@ -37,8 +37,7 @@ def main() -> int:
     """Run, print, write; returns 2 when the assets are not on this machine or a name is wrong."""
     arguments = _parse()
     if not (ASSETS / "catalog.json").is_file():
-        print(f"'{ASSETS}' has no catalog.json; set GSKIN_ASSETS to the folder that holds it and npz/.", file=sys.stderr)
-        return 2
+        return _refuse(f"'{ASSETS}' has no catalog.json; set GSKIN_ASSETS to the folder that holds it and npz/.")
     protocol = Protocol(
         splats=arguments.splats, frames=arguments.frames, picture_frames=arguments.picture_frames,
         views=arguments.views, size=arguments.size, unused_bones=arguments.unused_bones,
@@ -46,8 +45,7 @@ def main() -> int:
     methods = arguments.methods.split(",")
     unknown = [m for m in methods if m not in METHODS and not m.startswith("ours:")]
     if unknown:
-        print(f"There is no method '{unknown[0]}': choose of {', '.join(METHODS)}, ours:<init>+<guidance>.", file=sys.stderr)
-        return 2
+        return _refuse(f"There is no method '{unknown[0]}': choose of {', '.join(METHODS)}, ours:<init>+<guidance>.")
     entries = _entries(arguments)
     store = Store(arguments.out)
     print(f"Protocol {protocol.key}: {protocol.describe()}.", flush=True)
@@ -56,6 +54,11 @@ def main() -> int:
         _run(arguments, protocol, entries, methods, store)
     _publish(arguments, protocol, entries, store)
     return 0
+
+
+def _refuse(reason: str) -> int:
+    print(reason, file=sys.stderr)
+    return 2
 
 
 def _parse() -> argparse.Namespace:
@@ -117,9 +120,10 @@ def _run(
         store.add(result)
         left = (time.monotonic() - started) / done * (total - done)
         skeleton = "" if result.skeleton == OWN else f" [{result.skeleton}]"
+        score = result.score
         print(
-            f"{done}/{total} {result.asset}{skeleton} {result.method}: error {result.score['error']:.3f} "
-            f"(random poses {result.score['random_error']:.3f}), PSNR {result.score['psnr']:.2f}, {result.seconds:.1f} s"
+            f"{done}/{total} {result.asset}{skeleton} {result.method}: error {score['error']:.3f} "
+            f"(random poses {score['random_error']:.3f}), PSNR {score['psnr']:.2f}, {result.seconds:.1f} s"
             f"{'' if result.status == 'ok' else ' ' + result.status.upper()}"
             f"{' - ' + result.note if result.note else ''}; {left / 60:.0f} min left",
             flush=True,

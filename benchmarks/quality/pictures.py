@@ -49,7 +49,8 @@ def make_sheets(
         rows = [_row(asset, protocol, folder, shown) for asset in names]
         image = _labelled(np.concatenate(rows), ["rest", "truth", *shown], names)
         save_jpeg(image, out / f"quality_{name}.jpg")
-        made.append((f"quality_{name}.jpg", f"`{method}` at its {name} against the initial weights: {', '.join(names)}"))
+        caption = f"`{method}` at its {name} against the initial weights: {', '.join(names)}"
+        made.append((f"quality_{name}.jpg", caption))
     return made
 
 

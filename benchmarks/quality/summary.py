@@ -27,7 +27,8 @@ class Line:
 
     def __str__(self) -> str:
         good = self.value <= self.target if self.at_most else self.value >= self.target
-        return f"{self.name} {self.value:.3f} {'<=' if self.at_most else '>='}{self.target:.3f} {'ok' if good else 'MISS'}"
+        sign = "<=" if self.at_most else ">="
+        return f"{self.name} {self.value:.3f} {sign}{self.target:.3f} {'ok' if good else 'MISS'}"
 
 
 class Summary:
@@ -106,7 +107,7 @@ class Summary:
 
 
 def acceptance(summary: Summary, method: str = OURS) -> list[Line]:
-    """The issue's numbers, on the assets' own animations and, by their names, in random poses; empty without results."""
+    """What is asked for, on the assets' own animations and, by their names, in random poses; empty without results."""
     if not summary.of(method):
         return []
     lines = []

@@ -29,7 +29,8 @@ def main_table(summary: Summary) -> str:
     lpips = any(np.isfinite(summary.mean(m, "lpips")) for m in summary.methods())
     header = [
         "method", "assets", "error", "95 %", "ratio to initial", "worse than initial", "better than heat_mesh",
-        "random error", "95 %", "PSNR", "SSIM", *(["LPIPS"] if lpips else []), "weights L1", "seconds", "partly", "failed",
+        "random error", "95 %", "PSNR", "SSIM", *(["LPIPS"] if lpips else []), "weights L1", "seconds", "partly",
+        "failed",
     ]  # fmt: skip
     rows = []
     for method in summary.methods():
@@ -116,8 +117,8 @@ def method_list(summary: Summary) -> str:
         if method in DESCRIPTIONS:
             text = DESCRIPTIONS[method]
         else:
-            what = method.removeprefix("ours:")
-            text = "the whole job as a new user has it" if method == OURS else f"the whole job, `init+guidance` = `{what}`"
+            text = f"the whole job, `init+guidance` = `{method.removeprefix('ours:')}`"
+            text = "the whole job as a new user has it" if method == OURS else text
         lines.append(f"* `{method}`: {text}.")
     return "\n".join(lines)
 

@@ -77,14 +77,19 @@ class Method:
     limit: float = 300.0
 
 
+def segment_distance(points: Array, start: Array, end: Array) -> Array:
+    """Distances (N,) from points (N, 3) to the segment from start to end (3,)."""
+    axis = end - start
+    along = np.clip((points - start) @ axis / max(float(axis @ axis), 1e-30), 0, 1)
+    return np.asarray(np.linalg.norm(points - start - along[:, None] * axis, axis=1))
+
+
 def nearest_bone(points: Array, skeleton: Skeleton) -> Array:
     """Index (N,) of the bone nearest to each point, by what the bones really span (`bone_segments`)."""
     segments = bone_segments(skeleton)
     best, found = np.full(len(points), np.inf), np.zeros(len(points), np.int64)
     for start, end, bone in zip(segments.starts, segments.ends, segments.bone, strict=True):
-        axis = end - start
-        along = np.clip((points - start) @ axis / max(float(axis @ axis), 1e-30), 0, 1)
-        distance = np.linalg.norm(points - start - along[:, None] * axis, axis=1)
+        distance = segment_distance(points, start, end)
         closer = distance < best
         best[closer], found[closer] = distance[closer], bone
     return found

@@ -19,9 +19,8 @@ from scipy.spatial import cKDTree
 from gskin_addon.core.rig.segments import bone_segments
 from gskin_addon.core.rig.skeleton import Skeleton
 from gskin_addon.core.skinning.voxels import voxelize
-from gskin_addon.core.splats.cloud import SplatCloud
 
-from .base import Made, Method, Subject, complete
+from .base import Made, Method, Subject, complete, segment_distance
 
 Array = NDArray[Any]
 
@@ -33,6 +32,8 @@ STEPS = 12
 """Of the active set: it settles after about 8."""
 
 LIMIT = 120.0
+
+_TIE = 1e-6
 
 _CORNERS = np.array(list(itertools.product((0, 1), repeat=3)))
 
@@ -70,26 +71,34 @@ def lattice(solid: Array, origin: Array, pitch: float) -> Lattice:
 
 
 def handles(nodes: Array, skeleton: Skeleton, pitch: float) -> Array:
-    """Which bone holds each node (V,), -1 for free: the nodes next to samples of the bones, each to its nearest.
+    """Which bone holds each node (V,), -1 for free: the nodes along the bones, each by the bone nearest to it.
 
-    A bone outside the domain holds the one node that is nearest to it; a bone may end without any node, where
-    another bone lies closer to all that are near.
+    A node at a joint, as near to another bone, stays free unless a bone has no other. A bone outside the domain
+    holds the one node that is nearest to it. Several short bones at one node: only one of them gets it.
     """
-    segments = bone_segments(skeleton)
     tree = cKDTree(nodes)
-    best = np.full(len(nodes), np.inf)
-    held = np.full(len(nodes), -1)
+    near: list[dict[int, float]] = [{} for _ in range(skeleton.count)]
+    segments = bone_segments(skeleton)
     for start, end, bone in zip(segments.starts, segments.ends, segments.bone, strict=True):
         steps = int(np.linalg.norm(end - start) / (0.5 * pitch)) + 2
-        # The ends belong to the joints, which two bones share: samples keep a little off them.
-        along = np.linspace(0.05, 0.95, steps)[:, None]
-        distance, node = tree.query(start + along * (end - start))
-        inside = distance <= pitch
-        if not inside.any():
-            inside = distance == distance.min()
-        for d, n in zip(distance[inside], node[inside], strict=True):
-            if d < best[n]:
-                best[n], held[n] = d, bone
+        distance, node = tree.query(start + np.linspace(0, 1, steps)[:, None] * (end - start))
+        node = np.unique(node[(distance <= pitch) | (distance == distance.min())])
+        exact = segment_distance(nodes[node], start, end)
+        for n, d in zip(node.tolist(), exact.tolist(), strict=True):
+            near[bone][n] = min(d, near[bone].get(n, np.inf))
+    best, held = np.full(len(nodes), np.inf), np.full(len(nodes), -1)
+    contested = np.zeros(len(nodes), bool)
+    for bone, found in enumerate(near):
+        for n, d in found.items():
+            if abs(d - best[n]) <= _TIE * pitch:
+                contested[n] = True
+            elif d < best[n]:
+                best[n], held[n], contested[n] = d, bone, False
+    held[contested] = -1
+    for bone, found in enumerate(near):
+        free = [n for n in found if held[n] < 0]
+        if free and not (held == bone).any():
+            held[min(free, key=lambda n: found[n])] = bone
     return held
 
 
