@@ -1,6 +1,4 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-import json
-import struct
 import sys
 from pathlib import Path
 
@@ -11,11 +9,10 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from bodies import capsule, capsule_asset, two_bones
 
-from benchmarks.quality.methods import Subject, create_method
+from benchmarks.quality.methods import Subject, Unavailable, create_method
 from benchmarks.quality.methods.base import complete, nearest_bone
 from benchmarks.quality.methods.heat import weld
 from benchmarks.quality.methods.job import job_settings
-from benchmarks.quality.methods.learned import Unavailable, fold_of, left_out_families
 
 
 @pytest.fixture(scope="module")
@@ -134,13 +131,3 @@ def test_names_of_jobs():
         job_settings("ours:sideways")
     with pytest.raises(ValueError, match="no method 'magic'"):
         create_method("magic")
-
-
-def test_a_fold_is_found_by_the_family_that_it_left_out(tmp_path):
-    for name, families in (("a", '["cows", "horses"]'), ("b", "fish; birds")):
-        header = json.dumps({"__metadata__": {"left_out_families": families}}).encode()
-        (tmp_path / f"{name}.safetensors").write_bytes(struct.pack("<Q", len(header)) + header)
-    assert left_out_families(tmp_path / "a.safetensors") == ["cows", "horses"]
-    assert fold_of("birds", tmp_path) == tmp_path / "b.safetensors"
-    assert fold_of("dragons", tmp_path) is None
-    assert fold_of("cows", tmp_path / "nowhere") is None

@@ -51,8 +51,11 @@ def create(name: str) -> Method:
     def make(subject: Subject) -> Made:
         from gskin_addon.core.worker.pipeline import run
 
-        with unseen_model(subject.asset.name if learned else None) as note, tempfile.TemporaryDirectory() as folder:
-            chosen = dict(settings)
+        chosen, note = dict(settings), ""
+        if learned:
+            model = unseen_model(subject.asset.name)
+            chosen["init_options"], note = {"model": str(model)}, f"model {model.stem}"
+        with tempfile.TemporaryDirectory() as folder:
             if chosen.get("guidance") == "oracle":
                 if subject.truth is None:
                     raise Unavailable("perfect guidance has no meaning on a disturbed skeleton")
