@@ -108,7 +108,8 @@ def _run(
             wanted = [m for m in methods if skeleton == OWN or m in ROBUST_METHODS]
             wanted = [m for m in wanted if arguments.sample or number < SLOW.get(m, len(entries))]
             if not arguments.force:
-                wanted = [m for m in wanted if (entry.name, m, skeleton, protocol.key) not in store]
+                known = {m: store.get((entry.name, m, skeleton, protocol.key)) for m in wanted}
+                wanted = [m for m, r in known.items() if r is None or (arguments.lpips and r.score["lpips"] is None)]
             if wanted:
                 tasks.append(Task(entry.name, skeleton, order_methods(wanted)))
     total, done, started = sum(len(t.methods) for t in tasks), 0, time.monotonic()
@@ -134,7 +135,7 @@ def _run(
         total -= 1
         if (method, why) not in missing:
             missing.add((method, why))
-            print(f"{method} is unavailable: {why}.", flush=True)
+            print(f"{method} left out: {why}.", flush=True)
 
     run_tasks(
         tasks, protocol, arguments.out, jobs=arguments.jobs, threads=arguments.threads,
@@ -154,7 +155,8 @@ def _publish(arguments: argparse.Namespace, protocol: Protocol, entries: list[En
 
         made = make_sheets(summary, protocol, arguments.out, DOC.parent / "images", arguments.show)
         pictures = [(f"images/{name}", caption) for name, caption in made]
-    machine = f"{os.cpu_count()}-core {platform.machine()} CPU, no GPU"
+    threads = "one thread" if arguments.threads == 1 else f"{arguments.threads} threads"
+    machine = f"{os.cpu_count()}-core {platform.machine()} CPU, {threads} a method, no GPU"
     text = page(summary, protocol, machine, pictures)
     print("\n" + text)
     if not arguments.no_docs:

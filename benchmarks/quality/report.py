@@ -23,9 +23,10 @@ def page(summary: Summary, protocol: Protocol, machine: str, pictures: Sequence[
         "bounding-box diagonal: mean and 95th percentile over splats and frames of the asset's own animation, and in "
         "random poses (10 % of the joints, 0.1 pi to 0.33 pi). `ratio to initial` is the mean of the assets' ratios. "
         "Where a method leaves splats without weights they follow their nearest bone: `partly`; where it gives none, "
-        "all do: `failed`. Both count in the means. Seconds: median, one thread.",
+        "all do: `failed`. Both count in the means. Seconds: median of the assets.",
         tables.method_list(summary),
         tables.main_table(summary),
+        _on_common_assets(summary),
         "#### By category\n\nMean error:\n\n" + tables.category_table(summary, "error", 3),
         "Mean PSNR:\n\n" + tables.category_table(summary, "psnr", 2),
         _section("Acceptance", "\n".join(f"    {line}" for line in acceptance(summary))),
@@ -51,6 +52,15 @@ def write_section(path: Path, text: str) -> None:
     temporary = path.with_suffix(".tmp")
     temporary.write_text(f"{before}{BEGIN}\n{text}\n{END}{after}", encoding="utf-8")
     os.replace(temporary, path)
+
+
+def _on_common_assets(summary: Summary) -> str:
+    """The main table again, fair, where not every method ran on every asset."""
+    methods = summary.methods()
+    common = summary.common(methods)
+    if not common or all(len(summary.of(m)) == len(common) for m in methods):
+        return ""
+    return f"On the {len(common)} assets that all of these methods have:\n\n" + tables.main_table(summary.only(common))
 
 
 def _section(title: str, text: str) -> str:

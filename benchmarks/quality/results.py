@@ -65,8 +65,9 @@ class Store:
             self._results[result.key] = result
         self._half = bool(text) and not text.endswith("\n")
 
-    def __contains__(self, key: object) -> bool:
-        return key in self._results
+    def get(self, key: tuple[str, str, str, str]) -> Result | None:
+        """The result with this key, if there is one."""
+        return self._results.get(key)
 
     def __iter__(self) -> Iterator[Result]:
         return iter(self._results.values())

@@ -33,8 +33,8 @@ def run_tasks(
 ) -> None:
     """Do all tasks in `jobs` processes of `threads` threads each.
 
-    report(result) as each comes; missing(method, why) for a method that cannot run here. A worker that dies or
-    outlives a method's limit is replaced; that method has failed on that asset.
+    report(result) as each comes; missing(method, why) for a method that cannot run here, or on an asset that cannot
+    be judged. A worker that dies or outlives a method's limit is replaced; that method has failed on that asset.
     """
     for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = str(threads)
@@ -99,11 +99,11 @@ class _Worker:
                 self._hear(self.pipe.recv(), report, missing)
         except (EOFError, OSError):
             self._process.join(5.0)
-            return self._lost(f"its process ended (code {self._process.exitcode})")
+            return self._lost(f"its process ended (code {self._process.exitcode})", missing)
         if not self.idle and time.monotonic() > self._at.until:
             limit = self._at.until - self._at.since
             self.close()
-            return self._lost(f"took longer than {limit:.0f} s")
+            return self._lost(f"took longer than {limit:.0f} s", missing)
         return None
 
     def _hear(
@@ -132,11 +132,13 @@ class _Worker:
             failed=tuple(f for f in self._task.failed if f[0] != method),
         )
 
-    def _lost(self, why: str) -> Task:
-        """The rest of the task, with what the worker was at among the failed."""
+    def _lost(self, why: str, missing: Callable[[str, str], None]) -> Task:
+        """The rest of the task, with what the worker was at among the failed; nothing, where it was no method."""
         assert self._task is not None
         if self._at.method not in self._task.methods:
-            raise RuntimeError(f"{self._task.asset}: {self._at.method} {why}")
+            for method in (*self._task.methods, *(name for name, _ in self._task.failed)):
+                missing(method, f"{self._task.asset} cannot be judged, {self._at.method} {why}")
+            return replace(self._task, methods=(), failed=())
         rest = tuple(m for m in self._task.methods if m != self._at.method)
         return replace(self._task, methods=rest, failed=(*self._task.failed, (self._at.method, why)))
 

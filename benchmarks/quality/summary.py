@@ -52,6 +52,13 @@ class Summary:
         sets = [{r.asset for r in self.of(m, s)} for m in methods for s in skeletons]
         return sorted(set.intersection(*sets)) if sets else []
 
+    def only(self, assets: Sequence[str]) -> Summary:
+        """The same for some of the assets."""
+        chosen = Summary((), "")
+        chosen._all = [r for r in self._all if r.asset in assets]
+        chosen._by = {key: r for key, r in self._by.items() if r.asset in assets}
+        return chosen
+
     def mean(
         self, method: str, field: str, *, skeleton: str = OWN, category: str | None = None,
         assets: Sequence[str] | None = None,

@@ -30,8 +30,8 @@ def test_the_cache_outlives_a_kill_and_the_last_line_counts(tmp_path):
     path.write_text(path.read_text()[:-40])  # killed within the last line
     again = Store(tmp_path)
     assert {r.asset: r.score["error"] for r in again} == {"cow": 0.5}
-    assert ("cow", "initial", "own", "p") in again
-    assert ("fox", "initial", "own", "p") not in again
+    assert again.get(("cow", "initial", "own", "p")).score["error"] == 0.5
+    assert again.get(("fox", "initial", "own", "p")) is None
     again.add(result("fox", "initial", 3.0))
     assert {r.asset: r.score["error"] for r in Store(tmp_path)} == {"cow": 0.5, "fox": 3.0}
 
@@ -90,6 +90,9 @@ def test_numbers_of_synthetic_results():
     assert "`heat_mesh`, failed on 1" in failure_list(summary)
     assert "a: no solution" in failure_list(summary)
     assert acceptance(Summary([], "p")) == []
+    assert summary.only(["a", "b"]).mean("initial", "error") == pytest.approx(1.5)
+    few = Summary([r for r in synthetic() if (r.asset, r.method) != ("d", "ours:default")], "p")
+    assert "On the 3 assets that all of these methods have" in page(few, Protocol(), "2-core CPU", [])
 
 
 def test_robust_table_counts_common_assets_only():
@@ -128,6 +131,8 @@ def _play(task, protocol, folder, lpips):
     import os
 
     yield "start", "(loading)", 60.0
+    if task.asset == "broken":
+        os._exit(4)
     for method, why in task.failed:
         yield "result", result(task.asset, method, 9.0, status=FAILED, note=why)
     for method in task.methods:
@@ -150,6 +155,7 @@ def test_a_run_survives_crashes_and_the_clock(tmp_path, monkeypatch):
     monkeypatch.setattr(runner, "_SPAWN", runner.multiprocessing.get_context("fork"))
     found, absent = [], []
     tasks = [work.Task("cow", "own", ("fine", "slow", "absent", "crash", "last")), work.Task("fox", "own", ("fine",))]
+    tasks.insert(1, work.Task("broken", "own", ("fine",)))
     runner.run_tasks(tasks, Protocol(), tmp_path, report=found.append, missing=lambda m, why: absent.append((m, why)))
     status = {(r.asset, r.method): (r.status, r.note) for r in found}
     assert status == {
@@ -160,4 +166,7 @@ def test_a_run_survives_crashes_and_the_clock(tmp_path, monkeypatch):
         ("fox", "fine"): ("ok", ""),
     }
     assert len(found) == 5
-    assert absent == [("absent", "not here")]
+    assert absent == [
+        ("absent", "not here"),
+        ("fine", "broken cannot be judged, (loading) its process ended (code 4)"),
+    ]
