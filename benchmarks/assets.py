@@ -32,7 +32,8 @@ class Surface:
 class RiggedSplats:
     """A cloud, its skeleton, and what an artist made of them.
 
-    weights (N, B) float32, rows sum to 1; clip (F, B, 4, 4) deform transforms of an animation, or None.
+    weights (N, B) float32, rows sum to 1; clip (F, B, 4, 4) deform transforms of an animation, or None; surface: the
+    mesh that the splats were sampled from, where there was one.
     """
 
     name: str
@@ -40,7 +41,7 @@ class RiggedSplats:
     skeleton: Skeleton
     weights: NDArray[np.float32]
     clip: NDArray[np.float64] | None
-    surface: Surface
+    surface: Surface | None = None
 
 
 def load_asset(

@@ -10,21 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.assets import RiggedSplats
+from benchmarks.metrics import POSE_SEED, held_out_poses
 from gskin_addon.core.render.camera import evaluation_views
 from gskin_addon.core.render.photometric import content_box, l1_dssim
 from gskin_addon.core.render.rasterizer import render_cloud
-from gskin_addon.core.rig.kinematics import pose_transforms
 from gskin_addon.core.rig.lbs import skin_cloud, skin_points
-from gskin_addon.core.rig.poses import random_poses
-from gskin_addon.core.rig.skeleton import Skeleton
 
 from .lpips import Perceptual
 from .protocol import Protocol
 
 Array = NDArray[Any]
-
-POSE_SEED = 977
-"""Of the random poses: no training and no job uses it."""
 
 MOST_PSNR = 60.0
 """Equal pictures count as this many dB, so that means stay finite."""
@@ -132,12 +127,3 @@ def compare(image: NDArray[np.float32], truth: NDArray[np.float32]) -> tuple[flo
 def _spread(count: int, wanted: int) -> NDArray[np.int64]:
     """At most `wanted` of the indices 0..count - 1, evenly spread."""
     return np.unique(np.linspace(0, count - 1, min(count, wanted)).round().astype(np.int64))
-
-
-def held_out_poses(skeleton: Skeleton, count: int, seed: int) -> NDArray[np.float64]:
-    """`count` random poses (P, B, 4, 4) of Sec. IV about random axes."""
-    rng = np.random.default_rng(seed)
-    axes = rng.normal(size=(count, 3))
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    transforms: NDArray[np.float64] = pose_transforms(skeleton, random_poses(skeleton, axes, count, rng))
-    return transforms

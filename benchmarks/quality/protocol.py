@@ -7,6 +7,8 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass
 
+from benchmarks.metrics import POSES
+
 VERSION = 1
 """Raise it when the judge measures something else, so that old results are not taken for new ones."""
 
@@ -25,7 +27,7 @@ class Protocol:
     picture_frames: int = 12
     views: int = 6
     size: int = 512
-    poses: int = 24
+    poses: int = POSES
     unused_bones: bool = False
 
     @property

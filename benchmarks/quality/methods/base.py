@@ -46,6 +46,8 @@ class Subject:
     @property
     def surface(self) -> Surface:
         """The true mesh and where the splats are on it."""
+        if self.asset.surface is None:
+            raise Unavailable("the splats come from no mesh")
         return self.asset.surface
 
     @cached_property
