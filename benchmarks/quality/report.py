@@ -23,7 +23,7 @@ def page(summary: Summary, protocol: Protocol, machine: str, pictures: Sequence[
         "bounding-box diagonal: mean and 95th percentile over splats and frames of the asset's own animation, and in "
         "random poses (10 % of the joints, 0.1 pi to 0.33 pi). `ratio to initial` is the mean of the assets' ratios. "
         "Where a method leaves splats without weights they follow their nearest bone: `partly`; where it gives none, "
-        "all do: `failed`. Both count in the means. Seconds: median of the assets.",
+        "all do: `failed`. Both count in the means. Seconds: core-seconds, median of the assets.",
         tables.method_list(summary),
         tables.main_table(summary),
         _on_common_assets(summary),

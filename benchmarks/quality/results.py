@@ -24,7 +24,7 @@ class Result:
     """One method on one asset.
 
     status: OK; PARTLY, where the method left splats without weights; FAILED, where it gave none. What it left
-    out follows the nearest bone and is scored so. score: the fields of judge.Score.
+    out follows the nearest bone and is scored so. seconds: core-seconds. score: the fields of judge.Score.
     """
 
     asset: str

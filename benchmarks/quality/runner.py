@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -18,6 +19,11 @@ from .results import Result
 from .work import Task, perform
 
 _SPAWN = multiprocessing.get_context("spawn")
+
+PATIENCE = 20.0
+"""Wall seconds for a core-second of a method's limit: only what hangs or starves takes longer."""
+
+_OWN_LIMIT = 120.0  # for loading and judging
 
 
 def run_tasks(
@@ -34,7 +40,8 @@ def run_tasks(
     """Do all tasks in `jobs` processes of `threads` threads each.
 
     report(result) as each comes; missing(method, why) for a method that cannot run here, or on an asset that cannot
-    be judged. A worker that dies or outlives a method's limit is replaced; that method has failed on that asset.
+    be judged. A worker that dies, by the limit of its core-seconds too, or hangs is replaced; the method that it was at
+    has failed on that asset.
     """
     for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = str(threads)
@@ -65,11 +72,15 @@ def run_tasks(
 
 @dataclass
 class _At:
-    """What a worker is at: since when, and until when it may be."""
+    """What a worker is at, its limit in core-seconds, and until when it may be."""
 
     method: str
-    since: float
+    limit: float
     until: float
+
+    @classmethod
+    def now(cls, method: str, limit: float) -> _At:
+        return cls(method, limit, time.monotonic() + PATIENCE * limit)
 
 
 class _Worker:
@@ -79,7 +90,7 @@ class _Worker:
         self._process.start()
         other.close()
         self._task: Task | None = None
-        self._at = _At("", 0.0, 0.0)
+        self._at = _At.now("", 0.0)
 
     @property
     def idle(self) -> bool:
@@ -87,7 +98,7 @@ class _Worker:
 
     def begin(self, task: Task) -> None:
         self._task = task
-        self._at = _At("(starting)", time.monotonic(), time.monotonic() + 600.0)
+        self._at = _At.now("(starting)", _OWN_LIMIT)
         self.pipe.send(task)
 
     def listen(
@@ -99,22 +110,22 @@ class _Worker:
                 self._hear(self.pipe.recv(), report, missing)
         except (EOFError, OSError):
             self._process.join(5.0)
-            return self._lost(f"its process ended (code {self._process.exitcode})", missing)
+            code = self._process.exitcode
+            slow = f"took longer than {self._at.limit:.0f} core-seconds"
+            return self._lost(slow if code == -signal.SIGXCPU else f"its process ended (code {code})", missing)
         if not self.idle and time.monotonic() > self._at.until:
-            limit = self._at.until - self._at.since
             self.close()
-            return self._lost(f"took longer than {limit:.0f} s", missing)
+            return self._lost(f"hung for {PATIENCE * self._at.limit:.0f} s", missing)
         return None
 
     def _hear(
         self, message: tuple[Any, ...], report: Callable[[Result], None], missing: Callable[[str, str], None]
     ) -> None:
         kind = message[0]
-        now = time.monotonic()
         if kind == "start":
-            self._at = _At(message[1], now, now + message[2])
+            self._at = _At.now(message[1], message[2])
         elif kind == "made":
-            self._at = _At(f"judging {message[1]}", now, now + 600.0)
+            self._at = _At.now(f"judging {message[1]}", _OWN_LIMIT)
         elif kind == "done":
             self._task = None
         elif kind == "unavailable":

@@ -102,7 +102,7 @@ class Summary:
         return self.share(method, MESH, np.less, field)
 
     def seconds(self, method: str) -> float:
-        """Median seconds to make the weights."""
+        """Median core-seconds to make the weights."""
         found = [r.seconds for r in self.of(method) if r.status != FAILED]
         return float(np.median(found)) if found else float("nan")
 

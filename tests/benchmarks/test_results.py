@@ -127,7 +127,7 @@ def test_the_page_goes_between_its_markers(tmp_path):
 
 
 def _play(task, protocol, folder, lpips):
-    """Stands for work.perform in the workers: one method is fine, one too slow, one ends the process."""
+    """Stands for work.perform in the workers: of the methods some are fine, one hangs, one is slow, one crashes."""
     import os
 
     yield "start", "(loading)", 60.0
@@ -139,9 +139,13 @@ def _play(task, protocol, folder, lpips):
         if method == "absent":
             yield "unavailable", method, "not here"
             continue
-        yield "start", method, 0.5
-        if method == "slow":
+        yield "start", method, 0.1 if method == "hang" else 1.0
+        if method == "hang":
             time.sleep(60)
+        if method == "slow":
+            work.limit_cpu(0.1)
+            while True:
+                pass
         if method == "crash":
             os._exit(3)
         yield "made", method
@@ -154,18 +158,19 @@ def test_a_run_survives_crashes_and_the_clock(tmp_path, monkeypatch):
     monkeypatch.setattr(runner, "perform", _play)
     monkeypatch.setattr(runner, "_SPAWN", runner.multiprocessing.get_context("fork"))
     found, absent = [], []
-    tasks = [work.Task("cow", "own", ("fine", "slow", "absent", "crash", "last")), work.Task("fox", "own", ("fine",))]
-    tasks.insert(1, work.Task("broken", "own", ("fine",)))
+    methods = {"cow": ("fine", "hang", "slow", "absent", "crash", "last"), "broken": ("fine",), "fox": ("fine",)}
+    tasks = [work.Task(asset, "own", names) for asset, names in methods.items()]
     runner.run_tasks(tasks, Protocol(), tmp_path, report=found.append, missing=lambda m, why: absent.append((m, why)))
     status = {(r.asset, r.method): (r.status, r.note) for r in found}
     assert status == {
         ("cow", "fine"): ("ok", ""),
-        ("cow", "slow"): (FAILED, "took longer than 0 s"),
+        ("cow", "hang"): (FAILED, "hung for 2 s"),
+        ("cow", "slow"): (FAILED, "took longer than 1 core-seconds"),
         ("cow", "crash"): (FAILED, "its process ended (code 3)"),
         ("cow", "last"): ("ok", ""),
         ("fox", "fine"): ("ok", ""),
     }
-    assert len(found) == 5
+    assert len(found) == 6
     assert absent == [
         ("absent", "not here"),
         ("fine", "broken cannot be judged, (loading) its process ended (code 4)"),

@@ -73,7 +73,7 @@ class Made:
 
 @dataclass(frozen=True)
 class Method:
-    """A way to make weights: at most `limit` seconds."""
+    """A way to make weights, in at most `limit` core-seconds."""
 
     make: Callable[[Subject], Made]
     limit: float = 300.0
