@@ -16,7 +16,7 @@ help:
 	@echo 'make lint           ruff and mypy'
 	@echo 'make zip            the Blender extension, into dist'
 	@echo 'make bench-speed    speed of the rasterisers, also on a GPU where there is one'
-	@echo 'make bench-quality  weights before and after learning, on assets with known weights'
+	@echo 'make bench-quality  all ways to make weights, on assets with known ones; tables into docs/benchmarks.md'
 
 $(STAMP): pyproject.toml tools/make_venv.py
 	@$(PYTHON) tools/make_venv.py --venv $(VENV)
@@ -44,7 +44,7 @@ bench-speed: $(STAMP)
 	@$(RUN) benchmarks/bench_gpu.py
 
 bench-quality: $(STAMP)
-	@$(RUN) -m benchmarks.bench_quality
+	@$(RUN) -m benchmarks.quality
 
 clean:
 	rm -rf out build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -18,10 +18,22 @@ ASSETS = Path(os.environ.get("GSKIN_ASSETS", Path(__file__).resolve().parents[2]
 
 
 @dataclass(frozen=True)
+class Surface:
+    """The mesh that splats were sampled from: verts (V, 3), faces (F, 3), and the triangle (N,) and barycentric
+    coordinates (N, 3) of every splat."""
+
+    verts: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    face: NDArray[np.int64]
+    bary: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class RiggedSplats:
     """A cloud, its skeleton, and what an artist made of them.
 
-    weights (N, B) float32, rows sum to 1; clip (F, B, 4, 4) deform transforms of an animation, or None.
+    weights (N, B) float32, rows sum to 1; clip (F, B, 4, 4) deform transforms of an animation, or None; surface: the
+    mesh that the splats were sampled from, where there was one.
     """
 
     name: str
@@ -29,12 +41,16 @@ class RiggedSplats:
     skeleton: Skeleton
     weights: NDArray[np.float32]
     clip: NDArray[np.float64] | None
+    surface: Surface | None = None
 
 
-def load_asset(name: str, count: int, seed: int = 0, folder: Path = ASSETS) -> RiggedSplats:
+def load_asset(
+    name: str, count: int, seed: int = 0, folder: Path = ASSETS, *, unused_bones: bool = False
+) -> RiggedSplats:
     """Read `npz/<name>.npz` of the shared assets and cover its surface with `count` splats.
 
-    Bones that carry no weight (control bones) are left out; their children hang on the next used ancestor.
+    Bones that carry no weight (control bones) are left out unless `unused_bones`; their children hang on the next
+    used ancestor.
 
     Raises:
         FileNotFoundError: the asset is not on this machine.
@@ -44,7 +60,9 @@ def load_asset(name: str, count: int, seed: int = 0, folder: Path = ASSETS) -> R
     cloud, face, bary = sample_mesh(
         verts, faces, data["corner_rgb"] / 255.0, count, np.random.default_rng(seed)
     )
-    order, parents = _used_bones(data["bone_used"], data["bone_parent"].astype(int))
+    order, parents = _used_bones(
+        np.ones_like(data["bone_used"]) if unused_bones else data["bone_used"], data["bone_parent"].astype(int)
+    )
     heads, tails = data["bone_head"][order].astype(np.float64), data["bone_tail"][order].astype(np.float64)
     vertex_weights = np.zeros((len(verts), len(data["bone_used"])), np.float32)
     vertex_weights[data["w_row"], data["w_col"]] = data["w_val"]
@@ -62,6 +80,7 @@ def load_asset(name: str, count: int, seed: int = 0, folder: Path = ASSETS) -> R
         ),
         weights.astype(np.float32),
         data["anim_mats"][:, order].astype(np.float64) if "anim_mats" in data else None,
+        Surface(verts, faces.astype(np.int64), face, bary),
     )
 
 

@@ -20,7 +20,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-EXTRAS = "worker,blender,mesh,diffusion,dev"
+EXTRAS = "worker,blender,mesh,diffusion,bench,dev"
 TORCH = "torch==2.13.0"
 BLENDER_MODULE = {(3, 11): "bpy>=5.0,<5.1", (3, 13): "bpy>=5.1,<5.3"}
 

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Learned initial weights, always of a model that has not seen the family of the asset at hand."""
+
+from __future__ import annotations
+
+import os
+from importlib import import_module
+from pathlib import Path
+
+from benchmarks.quality.catalog import family_of
+from gskin_addon.core.skinning.initial import INITIAL_WEIGHTS, initial_weights
+
+from .base import Made, Method, Subject, Unavailable
+
+FOLDS = Path(os.environ.get("GSKIN_PRIOR_FOLDS", "out/prior-folds"))
+"""Folder of models (`gskin train-prior`), each of which names the families that it has not seen."""
+
+
+def unseen_model(asset: str) -> Path:
+    """The model for an asset.
+
+    Raises:
+        Unavailable: this version has no learned weights, or no model has left out the asset's family.
+    """
+    if "learned" not in INITIAL_WEIGHTS:
+        raise Unavailable("this version has no init 'learned'")
+    family = family_of(asset)
+    models_without = import_module("gskin_addon.core.skinning.learned.model_file").models_without
+    path: Path | None = models_without(family, FOLDS)
+    if path is None:
+        raise Unavailable(f"no model in '{FOLDS}' leaves out the family '{family}'")
+    return path.resolve()
+
+
+def create(name: str) -> Method:
+    """The method.
+
+    Raises:
+        Unavailable: this version has no learned weights.
+    """
+    if "learned" not in INITIAL_WEIGHTS:
+        raise Unavailable("this version has no init 'learned'")
+
+    def make(subject: Subject) -> Made:
+        model = unseen_model(subject.asset.name)
+        options = {"options": {"model": str(model)}}
+        weights = initial_weights(
+            "learned", subject.cloud, subject.skeleton, subject.masks, subject.cameras, **options
+        )
+        return Made(weights, f"model {model.stem}")
+
+    return Method(make)
