@@ -63,6 +63,7 @@ def run(options: argparse.Namespace) -> None:
         "max_influences": options.max_influences,
         "seed": options.seed,
         "front": options.front,
+        "init_options": {"model": str(options.init_model.absolute())} if options.init_model else {},
         "options": parse_guidance_options(options.guidance_option),
     }
     JobSettings.parse(settings)

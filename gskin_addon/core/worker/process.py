@@ -43,7 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
         if importlib.util.find_spec("numpy") is None:
             return _refuse(
                 f"The worker's interpreter '{sys.executable}' lacks numpy; install with: "
-                f"{sys.executable} -m pip install numpy scipy numba torch"
+                f"{sys.executable} -m pip install numpy scipy numba torch safetensors"
             )
         compute = importlib.import_module(f"{package}.core.worker.compute")
         return int(compute.main(folders[0]))

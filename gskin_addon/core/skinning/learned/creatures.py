@@ -109,8 +109,8 @@ class _Plan:
         """The same again on the other side: everything from bone number `bones` and flesh number `flesh` on."""
         count = len(self.parents) - bones
         for bone in range(bones, bones + count):
-            parent = self.parents[bone]
-            self.bone(parent + count if parent >= bones else parent, self.heads[bone] * MIRROR, self.tails[bone] * MIRROR)
+            parent = self.parents[bone] + (count if self.parents[bone] >= bones else 0)
+            self.bone(parent, self.heads[bone] * MIRROR, self.tails[bone] * MIRROR)
         for part in self.flesh[flesh:]:
             bone = part.bone + count if part.bone >= bones else part.bone
             mirrored = {"start": part.start * MIRROR, "end": part.end * MIRROR, "flat": part.flat * MIRROR}
@@ -129,18 +129,17 @@ def generate(rng: np.random.Generator) -> Subject:
 
     plan = _Plan(rng)
     [_biped, _quadruped, _crawler, _swimmer, _biped, _quadruped][rng.integers(6)](plan)
-    skeleton = Skeleton(
-        tuple(f"{i}" for i in range(len(plan.parents))), np.array(plan.parents), np.array(plan.heads), np.array(plan.tails)
-    )
+    names = tuple(f"{i}" for i in range(len(plan.parents)))
+    skeleton = Skeleton(names, np.array(plan.parents), np.array(plan.heads), np.array(plan.tails))
     points, colors, weights = _skin(plan, skeleton, int(rng.integers(4000, 6000)))
     count = len(points)
     spacing = float(np.sqrt(sum(part.area for part in plan.flesh) * 3 / count))
     cloud = SplatCloud(
-        points,
-        np.tile([1.0, 0, 0, 0], (count, 1)),
-        np.full((count, 3), 0.5 * spacing),
-        rng.uniform(0.8, 0.99, count),
-        ((colors - 0.5) / SH_C0)[:, None],
+        points.astype(np.float32),
+        np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
+        np.full((count, 3), 0.5 * spacing, np.float32),
+        rng.uniform(0.8, 0.99, count).astype(np.float32),
+        ((colors - 0.5) / SH_C0)[:, None].astype(np.float32),
     )
     return Subject(cloud, skeleton, weights.astype(np.float32), np.ones(count, bool))
 
@@ -169,7 +168,8 @@ def _head(plan: _Plan, parent: int, at: Array, way: Array, size: float, color: A
             if boned:
                 plan.chain(head, start, side, np.full(rng.integers(1, 3), length), 0.25 * size, 0.6, hue)
             else:
-                plan.cover(head, 0.2 * size, 0.05 * size, hue, segment=(start, start + side / size * length), rigid=True)
+                tip = start + side / size * length
+                plan.cover(head, 0.2 * size, 0.05 * size, hue, segment=(start, tip), rigid=True)
 
         plan.limbs(ear)
     if rng.random() < 0.5:
@@ -192,8 +192,9 @@ def _carried(plan: _Plan, bones: list[int], size: float) -> None:
             middle = plan.tails[bone] + way * size * rng.uniform(0, 0.8)
             reach = way * size * rng.uniform(0.3, 2.5)
             flat = np.cross(way, rng.normal(size=3))
+            span = (middle - 0.3 * reach, middle + 0.7 * reach)
             plan.cover(bone, size * rng.uniform(0.15, 0.5), size * rng.uniform(0.1, 0.5), _color(rng), flat=flat,
-                       thin=rng.uniform(0.25, 1), segment=(middle - 0.3 * reach, middle + 0.7 * reach), rigid=True)  # fmt: skip
+                       thin=rng.uniform(0.25, 1), segment=span, rigid=True)  # fmt: skip
 
 
 def _spine(plan: _Plan, start: Array, way: Array, length: float, radius: float, color: Array) -> list[int]:
@@ -204,7 +205,8 @@ def _spine(plan: _Plan, start: Array, way: Array, length: float, radius: float, 
         parent = plan.bone(-1, np.zeros(3), np.array([0.0, 0.0, 0.2]))
     count = int(rng.integers(1, 5))
     wide = np.array([1.0, 0.0, 0.0])
-    return plan.chain(parent, start, way, np.full(count, length / count), radius, rng.uniform(0.9, 1.1), color, bend=0.05,
+    taper = rng.uniform(0.9, 1.1)
+    return plan.chain(parent, start, way, np.full(count, length / count), radius, taper, color, bend=0.05,
                       flat=np.cross(way, wide), thin=rng.uniform(0.5, 1.0))  # fmt: skip
 
 
@@ -274,7 +276,8 @@ def _biped(plan: _Plan) -> None:
 
     plan.limbs(arm)
     if rng.random() < 0.25:
-        _tail(plan, spine[0], hip + [0, stout, 0], np.array([0.0, 1.0, -0.5]), rng.uniform(0.3, 1.0), 0.4 * stout, color)
+        back, way = hip + [0, stout, 0], np.array([0.0, 1.0, -0.5])
+        _tail(plan, spine[0], back, way, rng.uniform(0.3, 1.0), 0.4 * stout, color)
     if rng.random() < 0.2:
         _wings(plan, spine[-1], top + [0.3 * stout, stout, -0.1], rng.uniform(0.4, 1.0), color)
     _carried(plan, [tips[-1], head, spine[-1]], rng.uniform(0.15, 0.35))
@@ -313,7 +316,8 @@ def _crawler(plan: _Plan) -> None:
         parent = spine[min(int(share * len(spine)), len(spine) - 1)]
 
         def leg(at: Array = at, parent: int = parent, lean: float = share - 0.5) -> None:
-            made = plan.chain(parent, at, np.array([1.0, -lean, 0.6]), np.full(1, rng.uniform(0.15, 0.4)), 0.06, 0.9, hue)
+            thigh = np.full(1, rng.uniform(0.15, 0.4))
+            made = plan.chain(parent, at, np.array([1.0, -lean, 0.6]), thigh, 0.06, 0.9, hue)
             way = np.array([0.7, -lean, -1.0])
             plan.chain(made[-1], plan.tails[made[-1]], way, np.full(rng.integers(1, 3), 0.3), 0.05, 0.7, hue, bend=0.1)
 
@@ -334,10 +338,14 @@ def _swimmer(plan: _Plan) -> None:
     if rng.random() < 0.6:
         at, hue = plan.heads[made[count // 3]], _color(rng)
         flat = np.array([0.0, 0.2, 1.0])
-        plan.limbs(lambda: plan.cover(
-            plan.chain(made[count // 3], at + [0.4 * stout, 0, 0], np.array([1.0, 0.8, 0]), np.array([2 * stout]),
-                       0.5 * stout, 0.6, hue, flat=flat, thin=0.2)[0],
-            0.4 * stout, 0.3 * stout, hue, flat=flat, thin=0.2) and None)  # fmt: skip
+
+        def fin() -> None:
+            start, reach = at + [0.4 * stout, 0, 0], np.array([2 * stout])
+            way = np.array([1.0, 0.8, 0.0])
+            bone = plan.chain(made[count // 3], start, way, reach, 0.5 * stout, 0.6, hue, flat=flat, thin=0.2)[0]
+            plan.cover(bone, 0.4 * stout, 0.3 * stout, hue, flat=flat, thin=0.2)
+
+        plan.limbs(fin)
 
 
 def _skin(plan: _Plan, skeleton: Skeleton, count: int) -> tuple[Array, Array, Array]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 import zlib
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from ...rig.skeleton import Skeleton
 from . import creatures
 from .body import look_at
 from .examples import Mesh, Subject, cover, disturb, only_used, read_mesh_asset
-from .features import NAMES, PRIOR
+from .features import NAMES
 from .parts import neighbourhoods
 
 Array = NDArray[Any]
@@ -46,7 +46,7 @@ class Lesson:
     parents: Array
     truth: Array
     valid: Array
-    difficulty: Array
+    difficulty: float
 
     def save(self, path: Path) -> None:
         """Write all at once, so that a killed run leaves no half file."""
@@ -60,7 +60,8 @@ class Lesson:
         with np.load(path) as data:
             if int(data["version"]) != VERSION or tuple(data["names"]) != NAMES:
                 raise ValueError(f"{path} has another version")
-            return cls(**{f.name: data[f.name] for f in fields(cls)})
+            columns = {f.name: data[f.name] for f in fields(cls)}
+        return cls(**{**columns, "difficulty": float(columns["difficulty"])})
 
     def skeleton(self) -> Skeleton:
         """The bones, for poses; their tails are of no importance there."""
@@ -92,13 +93,12 @@ def make_lesson(subject: Subject, rng: np.random.Generator, rows: int = ROWS) ->
         skeleton.parents.astype(np.int16),
         truth.astype(np.float16),
         valid,
-        np.float32(0),
+        0.0,
     )
     heat = body.heat[body.rows]
     poses = posed_lesson(lesson, 16, np.random.default_rng(0))
     error = np.linalg.norm(skin_points(unit, heat, poses) - skin_points(unit, truth, poses), axis=-1)
-    object.__setattr__(lesson, "difficulty", np.float32(100 * error[:, valid].mean()))
-    return lesson
+    return replace(lesson, difficulty=float(100 * error[:, valid].mean()))
 
 
 def posed_lesson(lesson: Lesson, count: int, rng: np.random.Generator) -> Array:
@@ -153,6 +153,3 @@ def _current(path: Path) -> bool:
         return False
     with np.load(path) as data:
         return int(data["version"]) == VERSION and tuple(data["names"]) == NAMES
-
-
-__all__ = ["PRIOR", "ROWS", "Lesson", "asset_lesson", "creature_lesson", "make_lesson", "posed_lesson"]

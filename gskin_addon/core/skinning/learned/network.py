@@ -27,10 +27,10 @@ class Shape:
     """Sizes of the network; `before` and `after` count the layers on either side of the exchange."""
 
     features: int = len(NAMES)
-    width: int = 64
+    width: int = 48
     heads: int = 4
     before: int = 2
-    after: int = 2
+    after: int = 1
     channels: int = 4
 
     def as_dict(self) -> dict[str, int]:
@@ -85,6 +85,9 @@ class _Layer(nn.Module):
 class PriorNetwork(nn.Module):
     """Scores the bones near each splat."""
 
+    mean: Tensor
+    deviation: Tensor
+
     def __init__(self, shape: Shape | None = None) -> None:
         super().__init__()
         self.shape = s = shape or Shape()
@@ -126,7 +129,10 @@ class PriorNetwork(nn.Module):
         """What the splats around say about each token's bone."""
         share = logits.softmax(-1)
         words = torch.cat([torch.ones_like(share)[..., None], torch.tanh(self.say(seen))], -1) * share[..., None]
-        heard = [pool_tokens(words[rows], batch.bone[rows], *rest) for rows, *rest in batch.bodies]
+        heard = [
+            pool_tokens(words[rows], batch.bone[rows], bones, near, labels)
+            for rows, bones, near, labels in batch.bodies
+        ]
         pooled = torch.cat(heard)  # (N, K, POOLS, 1 + channels)
         loud = torch.log(pooled[..., 0] + 1e-3)
         told = pooled[..., 1:] / (pooled[..., :1] + 1e-3)
@@ -148,7 +154,7 @@ def pool_tokens(words: Tensor, bone: Tensor, bones: int, near: Sequence[Tensor],
     words (n, K, C); bone (n, K), -1 where there is none; near: (n, k) splat indices; labels (n, L).
     Returns (n, K, len(near) + L, C); a splat without a token for a bone says zero about it.
     """
-    count, tokens, channels = words.shape
+    count, channels = len(words), words.shape[-1]
     present = (bone >= 0)[..., None]
     column = bone.clamp(min=0)
     row = torch.arange(count, device=bone.device)[:, None]

@@ -63,7 +63,7 @@ def find_parts(points: Array, colors: Array, profile: Array, *, links: int = LIN
     way, index = cKDTree(points).query(points, min(links + 1, count))
     way, index = way.reshape(count, -1)[:, 1:], index.reshape(count, -1)[:, 1:].astype(np.int32)
     pitch = float(np.median(way)) if way.size else 1.0
-    open_way = ~_apart(index, way, profile, profile, pitch)
+    open_way = ~apart(index, way, profile)
     # A piece is what touches: splats are hardly ever three usual steps from all of their neighbours.
     a, k = np.nonzero(open_way & (way < 3.0 * pitch))
     b = index[a, k]
@@ -89,11 +89,10 @@ def _neighbourhood(points: Array, profile: Array, size: int, k: int) -> Array:
     k = min(k, len(members))
     way, at = cKDTree(points[members]).query(points, k)
     way, at = way.reshape(len(points), -1), at.reshape(len(points), -1)
-    pitch = float(np.median(way))
     index = members[at].astype(np.int32)
-    apart = _apart(index, way, profile, profile, pitch)
-    first = np.argmin(apart, axis=1)  # the nearest on this side; where there is none, the nearest
-    return np.where(apart, np.take_along_axis(index, first[:, None], 1), index)
+    beyond = apart(index, way, profile)
+    first = np.argmin(beyond, axis=1)  # the nearest on this side; where there is none, the nearest
+    return np.where(beyond, np.take_along_axis(index, first[:, None], 1), index)
 
 
 def even_subset(points: Array, count: int) -> Array:
@@ -116,20 +115,25 @@ def even_subset(points: Array, count: int) -> Array:
     return np.sort(best)
 
 
-def _apart(index: Array, way: Array, profile: Array, others: Array, pitch: float) -> Array:
-    return _apart_kernel(index, np.ascontiguousarray(way, np.float32), profile, others, np.float32(pitch))
+def apart(index: Array, way: Array, profile: Array, *, rows: Array | None = None) -> Array:
+    """(N, k) bool: no body lies between point n (or rows[n]) and point index[n, k], `way` apart; their distances to
+    some bone, profile (M, B), differ by more than that way allows."""
+    profile = np.ascontiguousarray(profile, np.float32)
+    rows = np.arange(len(index)) if rows is None else rows
+    pitch = np.float32(np.median(way)) if way.size else np.float32(1)
+    return _apart_kernel(index, np.ascontiguousarray(way, np.float32), profile, rows, pitch)
 
 
 @njit(cache=True)
-def _apart_kernel(index, way, profile, others, pitch):  # type: ignore[no-untyped-def]
-    """(N, k) bool: no body between point n and point index[n, k]; their distances to some bone differ too much."""
+def _apart_kernel(index, way, profile, rows, pitch):  # type: ignore[no-untyped-def]
     out = np.zeros(index.shape, np.bool_)
     for n in range(index.shape[0]):
+        own = profile[rows[n]]
         for k in range(index.shape[1]):
             limit = _APART * max(way[n, k], pitch)
-            m = index[n, k]
+            other = profile[index[n, k]]
             for b in range(profile.shape[1]):
-                if abs(profile[n, b] - others[m, b]) > limit:
+                if abs(own[b] - other[b]) > limit:
                     out[n, k] = True
                     break
     return out
