@@ -33,6 +33,8 @@ def run(options: argparse.Namespace) -> None:
     torch.set_num_threads(options.threads)
     entries = read_catalogue(options.assets)
     left = tuple(dict.fromkeys((*options.leave_out, *FOLDS.get(options.fold, ()), *NEVER)))
+    if options.fold and options.fold not in FOLDS:
+        raise InputError(f"There is no fold '{options.fold}'; choose one of {', '.join(FOLDS)}.")
     unknown = sorted(set(options.leave_out) - {entry["family"] for entry in entries})
     if unknown:
         raise InputError(f"--leave-out '{unknown[0]}' is no family of '{options.assets}'; see its catalog.json.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -39,14 +39,15 @@ def save_model(network: PriorNetwork, path: Path, card: ModelCard) -> None:
         name: value.to(torch.float16 if value.ndim == 2 else torch.float32).contiguous()
         for name, value in network.state_dict().items()
     }
-    metadata = {
-        "format": FORMAT,
-        "shape": json.dumps(network.shape.as_dict()),
-        "features": json.dumps(NAMES),
-        "left_out": json.dumps(card.left_out),
-        "families": json.dumps(card.families),
-        "training": json.dumps(dict(card.training)),
+    about = {
+        "shape": network.shape.as_dict(),
+        "features": NAMES,
+        "left_out": card.left_out,
+        "families": card.families,
+        "training": dict(card.training),
     }
+    # One entry only: safetensors keeps several in an order of its own, and equal trainings shall give equal bytes.
+    metadata = {FORMAT: json.dumps(about)}
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     save_file(tensors, temporary, metadata)
     os.replace(temporary, path)
@@ -58,7 +59,8 @@ def read_card(path: Path) -> ModelCard:
     Raises:
         InputError: the file is missing or no model of this program.
     """
-    return _open(path)[0]
+    about = _open(path, tensors=False)[0]
+    return ModelCard(tuple(about["left_out"]), tuple(about["families"]), about["training"])
 
 
 def load_model(path: Path) -> PriorNetwork:
@@ -72,11 +74,11 @@ def load_model(path: Path) -> PriorNetwork:
     from .features import NAMES
     from .network import PriorNetwork, Shape
 
-    _, metadata, tensors = _open(path)
-    if tuple(json.loads(metadata["features"])) != NAMES:
+    about, tensors = _open(path)
+    if tuple(about["features"]) != NAMES:
         raise InputError(f"'{path}' was trained by another version of gskin; train it again with gskin train-prior.")
     try:
-        network = PriorNetwork(Shape(**json.loads(metadata["shape"])))
+        network = PriorNetwork(Shape(**about["shape"]))
         network.load_state_dict({name: value.to(torch.float32) for name, value in tensors.items()})
     except (RuntimeError, TypeError, ValueError) as error:
         raise InputError(f"'{path}' does not hold the weights that it says; train it again.") from error
@@ -91,7 +93,8 @@ def models_without(family: str, folder: Path) -> Path | None:
     return None
 
 
-def _open(path: Path) -> tuple[ModelCard, dict[str, str], dict[str, Any]]:
+def _open(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What the file says of itself, and its tensors by name."""
     try:
         from safetensors import SafetensorError, safe_open
     except ImportError as error:
@@ -104,21 +107,16 @@ def _open(path: Path) -> tuple[ModelCard, dict[str, str], dict[str, Any]]:
     try:
         with safe_open(path, "pt") as file:
             metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            found = {name: file.get_tensor(name) for name in file.keys()} if tensors else {}  # noqa: SIM118
     except (SafetensorError, OSError, ValueError) as error:
         raise InputError(f"'{path}' is no safetensors file; name one made by gskin train-prior.") from error
-    if metadata.get("format") != FORMAT:
+    if FORMAT not in metadata:
         raise InputError(f"'{path}' holds no prior of gskin; name a file made by gskin train-prior.")
     try:
-        card = ModelCard(
-            tuple(_strings(metadata["left_out"])),
-            tuple(_strings(metadata["families"])),
-            json.loads(metadata["training"]),
-        )
-    except (KeyError, ValueError) as error:
+        about: dict[str, Any] = json.loads(metadata[FORMAT])
+        missing = {"shape", "features", "left_out", "families", "training"} - set(about)
+    except (ValueError, TypeError) as error:
         raise InputError(f"'{path}' has broken metadata; train it again with gskin train-prior.") from error
-    return card, metadata, tensors
-
-
-def _strings(text: str) -> Sequence[str]:
-    return [str(item) for item in json.loads(text)]
+    if missing:
+        raise InputError(f"'{path}' has broken metadata; train it again with gskin train-prior.")
+    return about, found

@@ -34,9 +34,10 @@ def test_pieces_and_colours_are_found():
 def test_neighbourhoods_do_not_reach_across_a_gap():
     rng = np.random.default_rng(1)
     points, colors = plates(rng, gap=0.02)
-    profile = np.repeat([[0.0], [1.0]], 800, axis=0)
+    points = points[rng.permutation(1600)]
+    profile = points[:, 2:] * 50
     for near in find_parts(points, colors, profile).near:
-        assert (points[near][:, :, 2] == points[:, None, 2]).mean() > 0.99
+        assert (points[near][:, :, 2] == points[:, None, 2]).mean() > 0.97
         assert np.linalg.norm(points[near] - points[:, None], axis=-1).max() < 0.6
 
 
