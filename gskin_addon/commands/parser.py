@@ -10,12 +10,13 @@ from typing import Any, NoReturn
 from ..core.guidance import DEFAULT_GUIDANCE, GUIDANCE
 from ..core.render.backends import AUTO, BACKENDS
 from ..core.skinning.fields import WEIGHT_FIELDS
-from ..core.skinning.initial import INITIAL_WEIGHTS
+from ..core.skinning.initial import DEFAULT_INITIAL, INITIAL_WEIGHTS
 from ..core.skinning.presets import DEFAULT_PRESET, PRESETS
 from ..core.splats.axes import UP_AXES
 from ..core.worker.settings import FRONTS, PRESET_FIELD
 
 VERSION = "0.1.0"
+TRAINING_STEPS = 600
 VIEWS = ("front", "back", "front-left", "front-right", "left", "right")
 
 
@@ -40,6 +41,7 @@ def build() -> argparse.ArgumentParser:
     _pose(commands)
     _render(commands)
     _train_guidance(commands)
+    _train_prior(commands)
     return parser
 
 
@@ -86,8 +88,11 @@ def _rig(commands: Any) -> None:
     rig.add_argument(
         "--init",
         choices=tuple(INITIAL_WEIGHTS),
-        default="visibility",
+        default=DEFAULT_INITIAL,
         help="initial weights (default: %(default)s)",
+    )
+    rig.add_argument(
+        "--init-model", type=Path, metavar="MODEL.safetensors", help="another model for --init learned (train-prior)"
     )
     rig.add_argument(
         "--guidance",
@@ -232,6 +237,30 @@ def _progress(parser: argparse.ArgumentParser) -> None:
         default="auto",
         help="on stderr: a bar on terminals, else lines (auto); or the worker's JSON lines",
     )
+
+
+def _train_prior(commands: Any) -> None:
+    train = commands.add_parser(
+        "train-prior",
+        help="train the learned initial weights on rigged assets",
+        description="Train the network behind --init learned on rigged assets (docs/training.md). Stopped, the same "
+        "command goes on where it was.",
+        allow_abbrev=False,
+    )
+    train.set_defaults(command="train_prior")
+    train.add_argument("--assets", type=Path, required=True, metavar="FOLDER", help="holds catalog.json and npz/")
+    train.add_argument("--out", type=Path, required=True, metavar="MODEL.safetensors")
+    train.add_argument(
+        "--leave-out", action="append", default=[], metavar="FAMILY", help="a family not to learn from; repeatable"
+    )
+    train.add_argument("--fold", default="", metavar="NAME", help="leave out the families of a fold of the model card")
+    train.add_argument("--steps", type=_positive, default=TRAINING_STEPS, metavar="N", help="(default: %(default)s)")
+    train.add_argument("--creatures", type=int, default=120, metavar="N", help="made-up bodies (default: %(default)s)")
+    train.add_argument("--seed", type=_seed, default=0, metavar="N", help="same seed, same model (default: 0)")
+    train.add_argument("--cache", type=Path, metavar="D", help="where described bodies are kept, for further runs")
+    train.add_argument("--threads", type=_positive, default=2, metavar="N", help="(default: %(default)s)")
+    train.add_argument("--progress", choices=("auto", "bar", "lines", "json", "none"), default="auto")
+    _common(train)
 
 
 def _front(parser: argparse.ArgumentParser) -> None:

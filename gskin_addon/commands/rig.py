@@ -66,6 +66,7 @@ def run(options: argparse.Namespace) -> None:
         "max_influences": options.max_influences,
         "seed": options.seed,
         "front": options.front,
+        "init_options": {"model": str(options.init_model.absolute())} if options.init_model else {},
         "options": of_guidance,
     }
     JobSettings.parse(settings)

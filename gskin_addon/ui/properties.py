@@ -15,6 +15,7 @@ from ..scene.splat_object import is_splat_object
 from .guidance import GSkinGuidance
 
 _INITIAL_TIPS = {
+    "learned": "By a small network that has seen how artists weight bodies; comes with the add-on",
     "visibility": "Straight distance to the bones, farther where the splat cannot see the bone (the paper's)",
     "geodesic": "Distance through the inside of the body; better where limbs come close to each other",
 }

@@ -65,13 +65,24 @@ class ElasticBody:
         adjacency = sparse.coo_matrix((np.ones(len(a)), (a, b)), shape=(count, count))
         self._adjacency = (adjacency + adjacency.T).tocsr()
         degree = np.asarray(self._adjacency.sum(axis=1)).ravel()
-        self._solver = splu((sparse.diags(degree + self._strength) - self._adjacency).tocsc())
+        self._laplacian = sparse.diags(degree) - self._adjacency
+        self._solver = splu((self._laplacian + sparse.diags(self._strength)).tocsc())
         # Heat equilibrium: the weights that the handles spread over the graph; the first guess of a pose.
         self._heat = self._solver.solve(self._strength[:, None] * self._bone)
 
-    def weights(self) -> NDArray[np.float32]:
-        """The heat-equilibrium weights (N, B) of the splats, rows sum to 1."""
-        spread = np.einsum("nk,nkb->nb", self.graph.anchor_weight, self._heat[self.graph.anchor])
+    def weights(self, strength: float = 1.0) -> NDArray[np.float32]:
+        """The heat-equilibrium weights (N, B) of the splats, rows sum to 1.
+
+        Handles of another `strength`, as a part of the usual one, give wider (below 1) or narrower transitions.
+        """
+        from scipy import sparse
+        from scipy.sparse.linalg import splu
+
+        heat = self._heat
+        if strength != 1.0:
+            handles = strength * self._strength
+            heat = splu((self._laplacian + sparse.diags(handles)).tocsc()).solve(handles[:, None] * self._bone)
+        spread = np.einsum("nk,nkb->nb", self.graph.anchor_weight, heat[self.graph.anchor])
         spread = np.maximum(spread, 0)
         return (spread / spread.sum(axis=1, keepdims=True)).astype(np.float32)
 

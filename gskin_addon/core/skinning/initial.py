@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Initial skinning weights from geometry (Eq. 6-7), and their registry by name.
+"""Initial skinning weights from geometry (Eq. 6-7) or learned, and their registry by name.
 
 Imports numpy only, so that a user interface can list the names; the kernels are loaded when weights are asked
 for.
@@ -7,7 +7,8 @@ for.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +23,9 @@ if TYPE_CHECKING:
     from ..render.camera import Camera
 
 Array = NDArray[Any]
-InitialWeights = Callable[[SplatCloud, Skeleton, Array, "Sequence[Camera]"], Array]
+InitialWeights = Callable[
+    [SplatCloud, Skeleton, Array, "Sequence[Camera]", Mapping[str, Any]], tuple[Array, "Array | None"]
+]
 
 GAMMA = 0.5
 """Binding smoothness of Eq. 7, the paper's default."""
@@ -105,24 +108,78 @@ def initial_weights_geodesic(
     return falloff_weights(np.square(distance / diagonal), gamma, sharpness)
 
 
-def _visibility(cloud: SplatCloud, skeleton: Skeleton, masks: Array, cameras: Sequence[Camera]) -> Array:
-    return initial_weights_visibility(cloud.means, skeleton, masks, cameras)
+def _visibility(
+    cloud: SplatCloud, skeleton: Skeleton, masks: Array, cameras: Sequence[Camera], options: Mapping[str, Any]
+) -> tuple[Array, None]:
+    return initial_weights_visibility(cloud.means, skeleton, masks, cameras), None
 
 
-def _geodesic(cloud: SplatCloud, skeleton: Skeleton, masks: Array, cameras: Sequence[Camera]) -> Array:
-    return initial_weights_geodesic(
+def _geodesic(
+    cloud: SplatCloud, skeleton: Skeleton, masks: Array, cameras: Sequence[Camera], options: Mapping[str, Any]
+) -> tuple[Array, None]:
+    weights = initial_weights_geodesic(
         cloud.means, cloud.opacities, skeleton, scales=cloud.scales, quats=cloud.quats
     )
+    return weights, None
 
 
-INITIAL_WEIGHTS: dict[str, InitialWeights] = {"visibility": _visibility, "geodesic": _geodesic}
-"""By name: (cloud, skeleton, masks (V, H, W) bool, cameras) -> weights (N, B) float32, rows sum to 1."""
+def _learned(
+    cloud: SplatCloud, skeleton: Skeleton, masks: Array, cameras: Sequence[Camera], options: Mapping[str, Any]
+) -> tuple[Array, Array]:
+    from .learned.predict import learned_weights
+
+    model = options.get("model")
+    return learned_weights(cloud, skeleton, Path(model) if model else None)
+
+
+INITIAL_WEIGHTS: dict[str, InitialWeights] = {
+    "learned": _learned,
+    "visibility": _visibility,
+    "geodesic": _geodesic,
+}
+"""By name: (cloud, skeleton, masks (V, H, W) bool, cameras, options) -> weights (N, B) float32 whose rows sum to 1,
+and confidence (N,) in [0, 1] or None where the method has no opinion."""
+
+DEFAULT_INITIAL = "learned"
+
+OPTIONS: dict[str, tuple[str, ...]] = {"learned": ("model",)}
+"""By name, the options that a method knows. `model`: a file made by `gskin train-prior`."""
+
+
+def check_options(name: str, options: Mapping[str, Any]) -> None:
+    """InputError unless the method `name` knows the options and their values can be used."""
+    known = OPTIONS.get(name, ())
+    for key, value in options.items():
+        if key not in known:
+            takes = f"it takes {', '.join(known)}" if known else "it takes none"
+            raise InputError(f"The initial weights '{name}' have no option '{key}'; {takes}.")
+        if not isinstance(value, str):
+            raise InputError(f"The option '{key}' of the initial weights is {value!r}; it must be a path.")
+        if value and not Path(value).is_file():
+            raise InputError(f"The model '{value}' does not exist; name a file made by gskin train-prior.")
 
 
 def initial_weights(
-    name: str, cloud: SplatCloud, skeleton: Skeleton, masks: Array, cameras: Sequence[Camera]
+    name: str,
+    cloud: SplatCloud,
+    skeleton: Skeleton,
+    masks: Array,
+    cameras: Sequence[Camera],
+    options: Mapping[str, Any] | None = None,
 ) -> Array:
     """Weights (N, B) by the method called `name`; InputError lists the names when there is none."""
+    return initial_with_confidence(name, cloud, skeleton, masks, cameras, options)[0]
+
+
+def initial_with_confidence(
+    name: str,
+    cloud: SplatCloud,
+    skeleton: Skeleton,
+    masks: Array,
+    cameras: Sequence[Camera],
+    options: Mapping[str, Any] | None = None,
+) -> tuple[Array, Array | None]:
+    """As `initial_weights`, with the confidence (N,) in [0, 1] of each splat's weights where the method has one."""
     if name not in INITIAL_WEIGHTS:
         raise InputError(f"No initial weights are called '{name}'; choose {' or '.join(INITIAL_WEIGHTS)}.")
-    return INITIAL_WEIGHTS[name](cloud, skeleton, masks, cameras)
+    return INITIAL_WEIGHTS[name](cloud, skeleton, masks, cameras, options or {})

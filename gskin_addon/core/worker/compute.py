@@ -20,7 +20,7 @@ from ..errors import Cancelled, GSkinError, InputError
 from . import lifeline
 from .progress import Progress
 
-MODULES = ("numpy", "scipy", "numba", "torch")
+MODULES = ("numpy", "scipy", "numba", "torch", "safetensors")
 """What the interpreter of a worker must have."""
 
 _LAST_RESORT = 2.0

@@ -89,9 +89,13 @@ def run(
     progress("initial", 0.01, {}, "Initial weights")
     masks = np.stack([render_cloud(subset.cloud, camera)[1] > 0.5 for camera in cameras])
     if proxy is None:
-        nodes, initial_whole = None, initial_weights(chosen.init, whole, skeleton, masks, cameras)
+        nodes, initial_whole = None, initial_weights(
+            chosen.init, whole, skeleton, masks, cameras, chosen.init_options
+        )
     else:
-        nodes = proxy.initial(chosen.init, subset.cloud, skeleton, masks, cameras)
+        nodes = proxy.initial(
+            chosen.init, subset.cloud, skeleton, masks, cameras, chosen.init_options
+        )
         initial_whole = proxy.spread(nodes)
     initial = initial_whole[subset.index]
     progress("initial", 0.04, {}, "Distances through the body")

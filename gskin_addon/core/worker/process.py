@@ -47,7 +47,7 @@ def main(arguments: list[str] | None = None) -> int:
         if importlib.util.find_spec("numpy") is None:
             return _refuse(
                 f"The worker's interpreter '{sys.executable}' lacks numpy; install with: "
-                f"{sys.executable} -m pip install numpy scipy numba torch"
+                f"{sys.executable} -m pip install numpy scipy numba torch safetensors"
             )
         if warming:
             return int(importlib.import_module(f"{package}.core.worker.warm").main())

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -49,12 +49,20 @@ class Proxy:
         return cls(verts, faces, anchors)
 
     def initial(
-        self, name: str, cloud: SplatCloud, skeleton: Skeleton, masks: Array, cameras: Sequence[Camera]
+        self,
+        name: str,
+        cloud: SplatCloud,
+        skeleton: Skeleton,
+        masks: Array,
+        cameras: Sequence[Camera],
+        options: Mapping[str, Any] | None = None,
     ) -> NDArray[np.float32]:
         """Initial weights (V, B) of the vertices by the method `name`, in a body of the splats `cloud`.
 
-        The vertices join the splats as small splats: a method sees one body.
+        The vertices join the splats as small splats, with the colour of the nearest: a method sees one body.
         """
+        from scipy.spatial import cKDTree
+
         count = len(self.verts)
         size = np.full((count, 3), np.median(cloud.scales), np.float32)
         both = SplatCloud(
@@ -62,9 +70,9 @@ class Proxy:
             np.concatenate([cloud.quats, np.eye(1, 4, dtype=np.float32).repeat(count, axis=0)]),
             np.concatenate([cloud.scales, size]),
             np.concatenate([cloud.opacities, np.ones(count, np.float32)]),
-            np.zeros((cloud.count + count, 1, 3), np.float32),
+            np.concatenate([cloud.sh[:, :1], cloud.sh[cKDTree(cloud.means).query(self.verts)[1], :1]]),
         )
-        found: NDArray[np.float32] = initial_weights(name, both, skeleton, masks, cameras)[cloud.count :]
+        found: NDArray[np.float32] = initial_weights(name, both, skeleton, masks, cameras, options)[cloud.count :]
         return found
 
     def spread(self, weights: NDArray[np.float32]) -> NDArray[np.float32]:

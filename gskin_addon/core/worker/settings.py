@@ -13,7 +13,8 @@ from ..guidance import DEFAULT_GUIDANCE, GUIDANCE
 from ..guidance.options import check_options
 from ..render.backends import AUTO, BACKENDS
 from ..skinning.fields import WEIGHT_FIELDS
-from ..skinning.initial import INITIAL_WEIGHTS
+from ..skinning.initial import DEFAULT_INITIAL, INITIAL_WEIGHTS
+from ..skinning.initial import check_options as check_initial_options
 from ..skinning.presets import DEFAULT_PRESET, PRESETS
 from ..splats.hygiene import Hygiene
 
@@ -35,6 +36,7 @@ class JobSettings:
 
     preset, guidance, init: names in their registries; max_influences: bones per splat in the result, 0 for
     no limit; seed: of all randomness; front: a key of FRONTS; options: the guidance provider's own;
+    init_options: those of the initial weights, {"model": path} for learned ones;
     field: a name in WEIGHT_FIELDS or PRESET_FIELD; field_options: the weight field's own; mesh: file of a
     proxy mesh in the same world space, whose vertices get the weights and carry the splats, a path or a name in
     the job's folder; empty for none; hygiene: what to do about bad splats, see `Hygiene`; rasterizer: a name in
@@ -43,11 +45,12 @@ class JobSettings:
 
     preset: str = DEFAULT_PRESET
     guidance: str = DEFAULT_GUIDANCE
-    init: str = "visibility"
+    init: str = DEFAULT_INITIAL
     max_influences: int = 4
     seed: int = 0
     front: str = "-y"
     options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    init_options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     field: str = PRESET_FIELD
     field_options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     mesh: str = ""
@@ -79,6 +82,9 @@ class JobSettings:
             value = getattr(settings, name)
             if value not in choices:
                 raise InputError(f"The job's {name} is '{value}'; choose one of {', '.join(choices)}.")
+        if not isinstance(settings.init_options, Mapping):
+            raise InputError(f"The job's init_options are {settings.init_options!r}; they must be a table.")
+        check_initial_options(settings.init, settings.init_options)
         if not isinstance(settings.mesh, str):
             raise InputError(f"The job's mesh is {settings.mesh!r}; it must be the path of a mesh file.")
         Hygiene.parse(settings.hygiene)

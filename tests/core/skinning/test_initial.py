@@ -150,7 +150,7 @@ def test_wrong_masks_and_unknown_names_are_refused():
     with pytest.raises(ValueError, match="a camera is"):
         bone_visibility(points, skeleton, masks[:, :64], cameras)
     cloud = _cloud(points)
-    with pytest.raises(InputError, match=r"'heat'.*visibility or geodesic"):
+    with pytest.raises(InputError, match=r"'heat'.*learned or visibility or geodesic"):
         initial_weights("heat", cloud, skeleton, masks, cameras)
 
 

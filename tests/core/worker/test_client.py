@@ -150,7 +150,7 @@ def test_check_python_tells_what_is_wrong(tmp_path):
     report = interpreter.check_python(bare)
     assert not report.usable
     assert report.missing == list(interpreter.NEEDED)
-    assert f"{bare} -m pip install numpy scipy numba torch" in report.sentence
+    assert f"{bare} -m pip install numpy scipy numba torch safetensors" in report.sentence
     for path, words in (
         (tmp_path / "none", "cannot be started"),
         (shutil.which("true"), "answer like Python"),

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`gskin train-prior`: learn initial weights from rigged assets. Needs torch, not Blender."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import time
+from pathlib import Path
+
+from ..core.errors import InputError
+from ..core.worker.client import ProgressEvent
+from .console import ProgressPrinter, say
+from .paths import check_output
+
+_MODULES = ("torch", "numba", "scipy", "safetensors")
+_CHECKPOINT_SECONDS = 30.0
+
+
+def run(options: argparse.Namespace) -> None:
+    """Train and write the model. Stopped, it leaves a checkpoint that the same command goes on from."""
+    check_output(options.out, "--out", (".safetensors",))
+    missing = [name for name in _MODULES if importlib.util.find_spec(name) is None]
+    if missing:
+        raise InputError(
+            f"Training needs {', '.join(missing)} in this Python; install with pip install 'gskin_addon[worker]'."
+        )
+    import torch
+
+    from ..core.skinning.learned.curriculum import FOLDS, NEVER, collect, plan
+    from ..core.skinning.learned.examples import read_catalogue
+
+    torch.set_num_threads(options.threads)
+    entries = read_catalogue(options.assets)
+    left = tuple(dict.fromkeys((*options.leave_out, *FOLDS.get(options.fold, ()), *NEVER)))
+    if options.fold and options.fold not in FOLDS:
+        raise InputError(f"There is no fold '{options.fold}'; choose one of {', '.join(FOLDS)}.")
+    unknown = sorted(set(options.leave_out) - {entry["family"] for entry in entries})
+    if unknown:
+        raise InputError(f"--leave-out '{unknown[0]}' is no family of '{options.assets}'; see its catalog.json.")
+    cache = options.cache or options.out.with_suffix(".lessons")
+    printer = ProgressPrinter(options.progress)
+    try:
+        clock = _Clock(printer)
+        requests = plan(entries, options.assets, left, options.creatures)
+        syllabus = collect(requests, cache, lambda done, all_: clock("lessons", done / all_, 0.0, 0.3))
+        _train(options, syllabus, left, clock)
+    finally:
+        printer.close()
+    say(f"The model is in '{options.out}'.")
+
+
+def _train(options: argparse.Namespace, syllabus: object, left: tuple[str, ...], clock: _Clock) -> None:
+    from ..core.skinning.learned.model_file import ModelCard, save_model
+    from ..core.skinning.learned.training import Schedule, Syllabus, Trainer
+
+    assert isinstance(syllabus, Syllabus)
+    trainer = Trainer(syllabus, Schedule(steps=options.steps, seed=options.seed))
+    checkpoint = options.out.with_suffix(".checkpoint")
+    if checkpoint.is_file():
+        trainer.restore(checkpoint)
+    saved = time.monotonic()
+    clock.restart()
+    first = trainer.step_number
+    try:
+        while trainer.step_number < options.steps:
+            loss = trainer.step()
+            part = (trainer.step_number - first) / max(options.steps - first, 1)
+            clock("train", part, 0.3, 1.0, f"step {trainer.step_number} of {options.steps}, loss {loss:.3f}")
+            if time.monotonic() - saved > _CHECKPOINT_SECONDS:
+                trainer.save(checkpoint)
+                saved = time.monotonic()
+    except KeyboardInterrupt:
+        if trainer.save(checkpoint):
+            say(f"Stopped at step {trainer.step_number}; the same command goes on from '{checkpoint}'.")
+        raise
+    training = {
+        "steps": options.steps, "seed": options.seed, "creatures": options.creatures,
+        "loss": round(sum(trainer.losses[-50:]) / max(len(trainer.losses[-50:]), 1), 4),
+    }  # fmt: skip
+    card = ModelCard(left, tuple(sorted(syllabus.files)), training)
+    save_model(trainer.result(), Path(options.out), card)
+    checkpoint.unlink(missing_ok=True)
+
+
+class _Clock:
+    """Progress events with an estimate of the time left in the present stage."""
+
+    def __init__(self, printer: ProgressPrinter) -> None:
+        self._printer = printer
+        self.restart()
+
+    def restart(self) -> None:
+        """A stage begins."""
+        self._begun = time.monotonic()
+
+    def __call__(self, stage: str, part: float, start: float, end: float, message: str = "") -> None:
+        """`part` of the stage is done, which spans `start` to `end` of the whole."""
+        gone = time.monotonic() - self._begun
+        left = gone * (1 - part) / part if part > 0 else None
+        self._printer(ProgressEvent(stage, start + (end - start) * part, left, message=message))

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which lessons a training is made of, and the folds of the held-out evaluation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from .examples import OPEN_LICENCES
+from .lessons import asset_lesson, creature_lesson
+from .training import CREATURES, Syllabus
+
+PER_FAMILY = 14
+"""Lessons of a family, times the square root of its number of assets: large families have many alike."""
+
+CREATURE_LESSONS = 120
+
+NEVER = ("OpenDungeons",)
+"""Families that no model of ours sees: mostly share-alike works, and the test of the shipped model."""
+
+FOLDS: dict[str, tuple[str, ...]] = {
+    "classic": ("Quaternius 2016-2019", "OpenClonk"),
+    "monsters": (
+        "Quaternius ultimate monsters", "Quaternius cute monsters", "Quaternius space", "Quaternius mechs",
+    ),
+    "animals": (
+        "Quaternius animated animals", "Quaternius easy enemies", "Quaternius fish", "Quaternius cute fish",
+        "Quaternius platformer", "Quaternius cyberpunk", "q_single_knight_KnightCharacter", "q_alien_scolitex",
+        "gd_platformer_enemy", "gd_platformer_robot",
+    ),
+}  # fmt: skip
+"""Families left out together, so that each asset for evaluation is judged by a model that never saw its family."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """One lesson to make: an asset's name, family and npz file (None for a creature), and the variant."""
+
+    name: str
+    family: str
+    npz: Path | None
+    variant: int
+
+    def make(self, cache: Path) -> Path:
+        """Make it, unless it is in the cache; returns its file."""
+        if self.npz is None:
+            return creature_lesson(self.variant, cache)
+        return asset_lesson(self.npz, self.name, self.variant, cache)
+
+
+def plan(
+    entries: Sequence[dict[str, Any]], folder: Path, leave_out: Iterable[str], creatures: int = CREATURE_LESSONS
+) -> list[Request]:
+    """The lessons of all families that may be learned from; what is the same in every fold comes out the same."""
+    families: dict[str, list[dict[str, Any]]] = {}
+    left = set(leave_out)
+    for entry in entries:
+        if entry["license"] in OPEN_LICENCES and entry["family"] not in left:
+            families.setdefault(entry["family"], []).append(entry)
+    rounds: dict[int, list[Request]] = {}
+    for family, assets in families.items():
+        wanted = math.ceil(PER_FAMILY * math.sqrt(len(assets)))
+        for number in range(max(wanted, len(assets))):
+            entry, variant = assets[number % len(assets)], number // len(assets)
+            rounds.setdefault(variant, []).append(
+                Request(entry["name"], family, folder / entry["npz"], variant)
+            )
+    for seed in range(creatures):
+        rounds.setdefault(seed // 40, []).append(Request("creature", CREATURES, None, seed))
+    return [request for _, some in sorted(rounds.items()) for request in some]
+
+
+def collect(requests: Sequence[Request], cache: Path, tell: Callable[[int, int], None]) -> Syllabus:
+    """Make the lessons that are missing; `tell` hears how many of how many are there."""
+    cache.mkdir(parents=True, exist_ok=True)
+    files: dict[str, dict[str, list[Path]]] = {}
+    for number, request in enumerate(requests):
+        tell(number, len(requests))
+        asset = request.name if request.npz is not None else f"{request.name} {request.variant}"
+        files.setdefault(request.family, {}).setdefault(asset, []).append(request.make(cache))
+    return Syllabus(files)

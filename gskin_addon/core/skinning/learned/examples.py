@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rigged bodies to learn from: read from files, bent a little, and covered with splats."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import InputError
+from ...rig.quaternion import axis_angle_to_matrix
+from ...rig.skeleton import Skeleton, parents_first
+from ...splats.cloud import SH_C0, SplatCloud
+from ...splats.from_mesh import sample_mesh
+
+Array = NDArray[Any]
+
+OPEN_LICENCES = ("CC0", "MIT", "Apache-2.0", "CC-BY-3.0", "CC-BY-4.0")
+"""What may train weights that are given away; share-alike works only evaluate."""
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A rigged mesh: verts (V, 3), faces (F, 3), corner_rgb (F, 3, 3) in [0, 1], weights (V, B) float32; used
+    (B,): the bones that carry weight."""
+
+    verts: Array
+    faces: Array
+    corner_rgb: Array
+    weights: Array
+    skeleton: Skeleton
+    used: Array
+
+
+@dataclass(frozen=True)
+class Subject:
+    """Splats with known weights (N, B), rows sum to 1; valid (N,): False for strays, which teach nothing."""
+
+    cloud: SplatCloud
+    skeleton: Skeleton
+    weights: Array
+    valid: Array
+
+
+def read_catalogue(folder: Path) -> list[dict[str, Any]]:
+    """The entries of `catalog.json`: at least name, family, license and npz."""
+    path = folder / "catalog.json"
+    if not path.is_file():
+        raise InputError(f"'{path}' does not exist; name the folder that holds catalog.json and npz/.")
+    try:
+        entries: list[dict[str, Any]] = json.loads(path.read_text())["assets"]
+        for entry in entries:
+            for key in ("name", "family", "license", "npz"):
+                entry[key]
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"'{path}' is no catalogue of assets ({error}); see docs/training.md.") from error
+    return entries
+
+
+def read_mesh_asset(path: Path) -> Mesh:
+    """A rigged mesh of the layout in docs/training.md."""
+    try:
+        data = np.load(path)
+        parent = data["bone_parent"].astype(int)
+        depth = parents_first(parent)
+        place = np.empty(len(depth), np.int64)
+        place[depth] = np.arange(len(depth))
+        parents = np.where(parent[depth] >= 0, place[parent[depth]], -1)
+        verts = data["verts"].astype(np.float64)
+        weights = np.zeros((len(verts), len(parent)), np.float32)
+        weights[data["w_row"], data["w_col"]] = data["w_val"]
+        weights = weights[:, depth]
+        names = tuple(f"{i}" for i in range(len(parent)))
+        heads, tails = (data[key][depth].astype(np.float64) for key in ("bone_head", "bone_tail"))
+        short = np.linalg.norm(tails - heads, axis=1) < 1e-6 * np.ptp(verts, axis=0).max()
+        tails[short] += np.array([0.0, 0.0, 1e-3]) * np.ptp(verts, axis=0).max()
+        rgb = data["corner_rgb"] / 255.0
+        return Mesh(verts, data["faces"], rgb, weights, Skeleton(names, parents, heads, tails), weights.max(0) > 0.01)
+    except (OSError, ValueError, KeyError, IndexError) as error:
+        raise InputError(f"'{path}' is no rigged asset ({error}); see docs/training.md.") from error
+
+
+def only_used(skeleton: Skeleton, weights: Array, used: Array) -> tuple[Skeleton, Array]:
+    """Without the bones that carry no weight."""
+    if not used.any():
+        raise InputError("An asset has no bone with weights; leave it out of the catalogue.")
+    return skeleton.subset(used), weights[:, used]
+
+
+def cover(mesh: Mesh, rng: np.random.Generator) -> Subject:
+    """The mesh stretched, turned and covered with splats as a capture or a generator might."""
+    scale = np.exp(rng.normal(0, 0.12, 3)) if rng.random() < 0.5 else np.ones(3)
+    turn = axis_angle_to_matrix(np.array([[0.0, 0.0, 1.0]]), rng.uniform(-np.pi, np.pi, 1))[0]
+    if rng.random() < 0.3:
+        axis = rng.normal(size=(1, 3))
+        turn = axis_angle_to_matrix(axis / np.linalg.norm(axis), rng.uniform(0, np.pi, 1))[0]
+    matrix = turn * scale
+    skeleton = mesh.skeleton
+    keep_idle = rng.random() < 0.35
+    weights = mesh.weights
+    if not keep_idle:
+        skeleton, weights = only_used(skeleton, weights, mesh.used)
+    skeleton = Skeleton(skeleton.names, skeleton.parents, skeleton.heads @ matrix.T, skeleton.tails @ matrix.T)
+    cloud, face, bary = sample_mesh(
+        mesh.verts @ matrix.T,
+        mesh.faces,
+        mesh.corner_rgb,
+        int(rng.integers(4000, 6000)),
+        rng,
+        below=rng.uniform(0.05, 0.3),
+        scatter=float(np.exp(rng.uniform(np.log(5e-4), np.log(5e-3)))),
+    )
+    sampled = np.einsum("nk,nkb->nb", bary, weights[mesh.faces[face]])
+    sampled /= np.maximum(sampled.sum(1, keepdims=True), 1e-9)
+    return Subject(cloud, skeleton, sampled.astype(np.float32), sampled.sum(1) > 0.5)
+
+
+def disturb(subject: Subject, rng: np.random.Generator) -> Subject:
+    """Bones split, left out, moved, added or without true tails; colours noisy; strays: each with some chance."""
+    from . import rig_changes as change
+
+    size = float(np.linalg.norm(np.ptp(subject.cloud.means, axis=0)))
+    points = subject.cloud.means.astype(np.float64)
+    skeleton, weights = subject.skeleton, subject.weights
+    if rng.random() < 0.2:
+        skeleton, weights = change.split_bones(skeleton, weights, points, rng, int(rng.integers(1, 5)), size)
+    if rng.random() < 0.2:
+        skeleton, weights = change.drop_bones(skeleton, weights, rng, 1 + int(0.1 * skeleton.count * rng.random()))
+    if rng.random() < 0.35:
+        skeleton = change.move_joints(skeleton, rng, rng.uniform(0.005, 0.05) * size, size)
+    if rng.random() < 0.2:
+        skeleton, weights = change.add_idle_bones(skeleton, weights, rng, int(rng.integers(1, 5)), size)
+    if rng.random() < 0.12:
+        skeleton = change.lose_tails(skeleton, rng, size)
+    cloud = recolour(subject.cloud, rng)
+    changed = Subject(cloud, skeleton, weights, subject.valid)
+    return add_strays(changed, rng, size) if rng.random() < 0.15 else changed
+
+
+def recolour(cloud: SplatCloud, rng: np.random.Generator) -> SplatCloud:
+    """Colours as a camera might see them: as they are, noisy, shaded and textured, or all alike."""
+    color, kind = cloud.base_colors().astype(np.float64), rng.random()
+    if kind < 0.45:
+        return cloud
+    if kind < 0.55:
+        color[:] = 0.5
+    else:
+        color = 0.1 + 0.8 * color * rng.uniform(0.5, 1.0)
+    if kind > 0.7:
+        light = rng.normal(size=3)
+        middle = cloud.means.mean(0)
+        along = (cloud.means - middle) @ (light / np.linalg.norm(light))
+        color *= 1 + rng.uniform(0, 0.4) * (along / (np.abs(along).max() + 1e-9))[:, None]
+    if kind > 0.8:
+        size = np.ptp(cloud.means, axis=0).max()
+        for _ in range(4):
+            wave = rng.normal(0, 2 * np.pi * rng.uniform(2, 12) / size, 3)
+            color += rng.normal(0, 0.05, 3) * np.sin(cloud.means @ wave + rng.uniform(0, 6.3))[:, None]
+    color += rng.normal(0, rng.uniform(0, 0.04), color.shape)
+    return replace(cloud, sh=((color - 0.5) / SH_C0)[:, None].astype(np.float32))
+
+
+def add_strays(subject: Subject, rng: np.random.Generator, size: float) -> Subject:
+    """Up to 1.5 % more splats, somewhere around the object."""
+    count = int(rng.uniform(0.002, 0.015) * subject.cloud.count)
+    picked = rng.integers(0, subject.cloud.count, count)
+    strays = subject.cloud.select(picked)
+    strays = replace(strays, means=strays.means + rng.normal(0, 0.06 * size, (count, 3)).astype(np.float32))
+    both = {
+        name: np.concatenate([getattr(subject.cloud, name), getattr(strays, name)])
+        for name in ("means", "quats", "scales", "opacities", "sh")
+    }
+    weights = np.concatenate([subject.weights, subject.weights[picked]])
+    valid = np.concatenate([subject.valid, np.zeros(count, bool)])
+    return Subject(SplatCloud(**both), subject.skeleton, weights, valid)
+
+
+def trainable(entries: Sequence[dict[str, Any]], leave_out: Sequence[str]) -> list[dict[str, Any]]:
+    """The entries with an open licence whose family is not left out."""
+    return [e for e in entries if e["license"] in OPEN_LICENCES and e["family"] not in leave_out]

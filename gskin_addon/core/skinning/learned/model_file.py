@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Network weights on disk: safetensors, with what they were trained on in the metadata."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ...errors import InputError
+
+if TYPE_CHECKING:
+    from .network import PriorNetwork
+
+FORMAT = "gskin-prior-1"
+SHIPPED = Path(__file__).with_name("prior.safetensors")
+
+
+@dataclass(frozen=True)
+class ModelCard:
+    """What a model file says of itself: the families that it never saw, and how it was trained."""
+
+    left_out: tuple[str, ...]
+    families: tuple[str, ...]
+    training: Mapping[str, Any]
+
+
+def save_model(network: PriorNetwork, path: Path, card: ModelCard) -> None:
+    """Write half-precision weights; the file appears whole or not at all."""
+    import torch
+    from safetensors.torch import save_file
+
+    from .features import NAMES
+
+    tensors = {
+        name: value.to(torch.float16 if value.ndim == 2 else torch.float32).contiguous()
+        for name, value in network.state_dict().items()
+    }
+    about = {
+        "shape": network.shape.as_dict(),
+        "features": NAMES,
+        "left_out": card.left_out,
+        "families": card.families,
+        "training": dict(card.training),
+    }
+    # One entry only: safetensors keeps several in an order of its own, and equal trainings shall give equal bytes.
+    metadata = {FORMAT: json.dumps(about)}
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    save_file(tensors, temporary, metadata)
+    os.replace(temporary, path)
+
+
+def read_card(path: Path) -> ModelCard:
+    """The metadata of a model file.
+
+    Raises:
+        InputError: the file is missing or no model of this program.
+    """
+    about = _open(path, tensors=False)[0]
+    return ModelCard(tuple(about["left_out"]), tuple(about["families"]), about["training"])
+
+
+def load_model(path: Path) -> PriorNetwork:
+    """The network of a model file, ready to predict.
+
+    Raises:
+        InputError: the file is missing, or no model of this program, or of another version.
+    """
+    import torch
+
+    from .features import NAMES
+    from .network import PriorNetwork, Shape
+
+    about, tensors = _open(path)
+    if tuple(about["features"]) != NAMES:
+        raise InputError(f"'{path}' was trained by another version of gskin; train it again with gskin train-prior.")
+    try:
+        network = PriorNetwork(Shape(**about["shape"]))
+        network.load_state_dict({name: value.to(torch.float32) for name, value in tensors.items()})
+    except (RuntimeError, TypeError, ValueError) as error:
+        raise InputError(f"'{path}' does not hold the weights that it says; train it again.") from error
+    return network.eval()
+
+
+def models_without(family: str, folder: Path) -> Path | None:
+    """A model file in `folder` that never saw `family`; None where there is none. The first by name."""
+    for path in sorted(folder.glob("*.safetensors")):
+        if family in read_card(path).left_out:
+            return path
+    return None
+
+
+def _open(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What the file says of itself, and its tensors by name."""
+    try:
+        from safetensors import SafetensorError, safe_open
+    except ImportError as error:
+        raise InputError(
+            "The learned weights need the package safetensors in the worker's Python; "
+            "install it with pip install safetensors, or choose other initial weights."
+        ) from error
+    if not path.is_file():
+        raise InputError(f"The model '{path}' does not exist; name a file made by gskin train-prior.")
+    try:
+        with safe_open(path, "pt") as file:
+            metadata = file.metadata() or {}
+            found = {name: file.get_tensor(name) for name in file.keys()} if tensors else {}  # noqa: SIM118
+    except (SafetensorError, OSError, ValueError) as error:
+        raise InputError(f"'{path}' is no safetensors file; name one made by gskin train-prior.") from error
+    if FORMAT not in metadata:
+        raise InputError(f"'{path}' holds no prior of gskin; name a file made by gskin train-prior.")
+    try:
+        about: dict[str, Any] = json.loads(metadata[FORMAT])
+        missing = {"shape", "features", "left_out", "families", "training"} - set(about)
+    except (ValueError, TypeError) as error:
+        raise InputError(f"'{path}' has broken metadata; train it again with gskin train-prior.") from error
+    if missing:
+        raise InputError(f"'{path}' has broken metadata; train it again with gskin train-prior.")
+    return about, found

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Training: the loss against plain arithmetic, one creature learned by heart, stopping and going on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from gskin_addon.core.errors import InputError
+from gskin_addon.core.rig.lbs import skin_points
+from gskin_addon.core.skinning.learned import creatures, rig_changes
+from gskin_addon.core.skinning.learned.lessons import Lesson, make_lesson, posed_lesson
+from gskin_addon.core.skinning.learned.network import make_batch
+from gskin_addon.core.skinning.learned.training import Schedule, Syllabus, Trainer, posed_error
+
+
+@pytest.fixture(scope="module")
+def syllabus(tmp_path_factory):
+    """One creature, one lesson."""
+    rng = np.random.default_rng(11)
+    path = tmp_path_factory.mktemp("lessons") / "one.npz"
+    make_lesson(creatures.generate(rng), rng, rows=150).save(path)
+    return Syllabus({"made up": {"one": [path]}})
+
+
+def only_lesson(syllabus):
+    return syllabus.draw(1, np.random.default_rng(0))[0]
+
+
+def test_lessons_come_back_from_disk(syllabus, tmp_path):
+    lesson = only_lesson(syllabus)
+    lesson.save(tmp_path / "again.npz")
+    again = Lesson.load(tmp_path / "again.npz")
+    for name, value in vars(lesson).items():
+        np.testing.assert_array_equal(value, getattr(again, name))
+    assert lesson.difficulty > 0
+    np.testing.assert_allclose(lesson.truth.astype(float).sum(axis=1), 1, atol=5e-3)
+
+
+def test_posed_error_is_the_distance_to_the_true_place(syllabus):
+    lesson = only_lesson(syllabus)
+    rng = np.random.default_rng(1)
+    poses = posed_lesson(lesson, 3, rng)
+    share = rng.dirichlet(np.ones(lesson.bone.shape[1]), len(lesson.bone))
+    share = np.where(lesson.bone >= 0, share, 0)
+    dense = np.zeros(lesson.truth.shape)
+    rows, tokens = np.nonzero(lesson.bone >= 0)
+    dense[rows, lesson.bone[rows, tokens]] = share[rows, tokens]
+    truth = lesson.truth.astype(float)
+    expected = [skin_points(lesson.points.astype(float), w, poses) for w in (dense, truth)]
+    got = posed_error(
+        torch.from_numpy(share.astype(np.float32)), torch.from_numpy(truth.astype(np.float32)),
+        torch.from_numpy(lesson.bone.astype(np.int64)).clamp(min=0), lesson, poses,
+    )  # fmt: skip
+    np.testing.assert_allclose(got, 100 * np.linalg.norm(expected[0] - expected[1], axis=-1), atol=1e-2)
+
+
+def test_one_creature_is_learned_by_heart(syllabus):
+    lesson = only_lesson(syllabus)
+    trainer = Trainer(syllabus, Schedule(steps=110, lessons=1, rate=5e-3, average=0.9))
+    for _ in range(110):
+        trainer.step()
+    with torch.no_grad():
+        answer = trainer.result()(make_batch([vars(lesson)]))
+        error = posed_error(
+            answer.final.softmax(-1), torch.from_numpy(lesson.truth.astype(np.float32)),
+            torch.from_numpy(lesson.bone.astype(np.int64)).clamp(min=0), lesson,
+            posed_lesson(lesson, 16, np.random.default_rng(0)),
+        )  # fmt: skip
+    assert float(error.mean()) < 0.35 * lesson.difficulty
+
+
+def test_a_stopped_training_goes_on_and_ends_the_same(syllabus, tmp_path):
+    schedule = Schedule(steps=6, lessons=1)
+    whole, first, second = (Trainer(syllabus, schedule) for _ in range(3))
+    for _ in range(6):
+        whole.step()
+    for _ in range(3):
+        first.step()
+    first.save(tmp_path / "state")
+    second.restore(tmp_path / "state")
+    for _ in range(3):
+        second.step()
+    assert second.step_number == 6
+    for a, b in zip(whole.result().state_dict().values(), second.result().state_dict().values(), strict=True):
+        torch.testing.assert_close(a, b, rtol=0, atol=0)
+    with pytest.raises(InputError, match="other settings"):
+        Trainer(syllabus, Schedule(steps=7)).restore(tmp_path / "state")
+
+
+def test_changed_skeletons_keep_the_weights_whole():
+    rng = np.random.default_rng(3)
+    subject = creatures.generate(rng)
+    points, skeleton, weights = subject.cloud.means.astype(float), subject.skeleton, subject.weights
+    size = 2.0
+    split, shared = rig_changes.split_bones(skeleton, weights, points, rng, 3, size)
+    assert split.count > skeleton.count
+    dropped, fewer = rig_changes.drop_bones(skeleton, weights, rng, 3)
+    assert dropped.count == skeleton.count - 3
+    idle, padded = rig_changes.add_idle_bones(skeleton, weights, rng, 4, size)
+    assert padded[:, skeleton.count :].max() == 0
+    moved = rig_changes.move_joints(skeleton, rng, 0.1, size)
+    assert np.linalg.norm(moved.heads - skeleton.heads, axis=1).max() <= 0.1 + 1e-9
+    stubs = rig_changes.lose_tails(skeleton, rng, size)
+    for changed, after in (
+        (split, shared),
+        (dropped, fewer),
+        (idle, padded),
+        (moved, weights),
+        (stubs, weights),
+    ):
+        changed.validate()
+        assert after.shape[1] == changed.count
+        np.testing.assert_allclose(after.sum(axis=1), 1, atol=1e-5)
+
+
+def test_creatures_differ_and_are_whole():
+    sizes = set()
+    for seed in range(8):
+        subject = creatures.generate(np.random.default_rng(seed))
+        subject.skeleton.validate()
+        assert 3500 < subject.cloud.count < 6000
+        np.testing.assert_allclose(subject.weights.sum(axis=1), 1, atol=1e-5)
+        sizes.add((subject.skeleton.count, subject.cloud.count))
+    assert len(sizes) == 8
