@@ -74,7 +74,7 @@ def run(
     field_name = preset.field if chosen.field == PRESET_FIELD else chosen.field
     clock = _Clock()
     progress("initial", 0.0, {}, "Preparing the splats")
-    whole, skeleton = _to_unit_size(cloud, skeleton)
+    whole, skeleton = to_unit_size(cloud, skeleton)
     hygiene = Hygiene.parse(chosen.hygiene)
     ignored, bad_counts = hygiene.find(whole)
     shaped, needle_counts = hygiene.shape(whole)
@@ -158,7 +158,7 @@ class _Clock:
         self._last = now
 
 
-def _to_unit_size(cloud: SplatCloud, skeleton: Skeleton) -> tuple[SplatCloud, Skeleton]:
+def to_unit_size(cloud: SplatCloud, skeleton: Skeleton) -> tuple[SplatCloud, Skeleton]:
     """Both moved and scaled so that the object's bounding box has the diagonal 1 and its centre at 0."""
     centre, diagonal = unit_frame(cloud.means)
     moved = replace(

@@ -30,6 +30,13 @@ class WeightField(torch.nn.Module):
         self.register_buffer("_prior", torch.from_numpy(prior), persistent=False)
         self._prior: torch.Tensor
 
+    def initial(self) -> torch.Tensor:
+        """The initial weights (N, B) as the field takes them: at least about `LOG_FLOOR`."""
+        return self._prior.exp()
+
+    def unlock(self, part: float) -> None:
+        """Told before each iteration what part of the run is done; fields that learn in stages override it."""
+
     @abstractmethod
     def residual(self) -> torch.Tensor:
         """Learned logits (N, B); zeros (or constant rows) leave the initial weights as they are."""
