@@ -4,8 +4,8 @@
     python -m benchmarks.sweep_losses [--only NAME,...] [--out out/sweep.json]
 
 One setting at a time is changed from the defaults of `LossWeights` (or from --base). Prints for each setting the
-error relative to that of the initial weights, as a geometric mean over the assets, and the worst asset. About a
-minute for each setting on one core. Results are kept in --out, so that a stopped sweep goes on.
+error relative to that of the initial weights, as a geometric mean over the assets, and the worst asset. About
+half a minute for each setting on one core. Results are kept in --out, so that a stopped sweep goes on.
 """
 
 from __future__ import annotations

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -135,8 +134,8 @@ class CpuScene:
         )  # fmt: skip
         grad_means, grad_quats = np.empty_like(f.means), np.empty_like(f.quats)
         spread(
-            project_backward, row_ranges(len(f.means), f.threads), f.means, f.quats, self.scales, f.camera, f.first_slot,
-            sums, grad_means, grad_quats,
+            project_backward, row_ranges(len(f.means), f.threads), f.means, f.quats, self.scales, f.camera,
+            f.first_slot, sums, grad_means, grad_quats,
         )  # fmt: skip
         return grad_means, grad_quats
 

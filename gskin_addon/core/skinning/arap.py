@@ -66,7 +66,8 @@ def arap_loss(
     posed = np.ascontiguousarray(posed, np.float32)
     grad = np.zeros_like(posed)
     losses = np.zeros(len(posed))
-    spread(_kernel, row_ranges(len(posed)), np.ascontiguousarray(rest, np.float32), posed, nodes, neighbours, losses, grad)
+    rest = np.ascontiguousarray(rest, np.float32)
+    spread(_kernel, row_ranges(len(posed)), rest, posed, nodes, neighbours, losses, grad)
     scale = 1.0 / (2.0 * neighbours.size * len(posed))
     grad *= np.float32(scale)
     return float(losses.sum() * scale), grad

@@ -26,6 +26,21 @@ __all__ = ["LossWeights", "Optimiser", "Target"]
 
 LOOK_EPOCHS = 4
 """What a view sees is found anew after the images were gone through so many times, and at each new size."""
+PRUNE_FROM = 15_000
+"""Splats from which on looking costs less than it saves."""
+
+DEFAULT_LOSSES = LossWeights()
+
+
+def look_schedule(preset: Preset, images: int) -> frozenset[int]:
+    """The iterations before which the views find out what they see."""
+    every = max(1, round(LOOK_EPOCHS * images / max(1, min(preset.batch, images))))
+    looks: list[int] = []
+    first = 0
+    for _, iterations in preset.stages:
+        looks += range(first, first + iterations, every)
+        first += iterations
+    return frozenset(looks)
 
 
 class Optimiser:
@@ -49,7 +64,7 @@ class Optimiser:
         preset: Preset,
         *,
         poser: Poser | None = None,
-        losses: LossWeights = LossWeights(),
+        losses: LossWeights = DEFAULT_LOSSES,
         held_out: Sequence[Target] = (),
         confidence: NDArray[Any] | None = None,
         prune: bool = True,
@@ -59,7 +74,9 @@ class Optimiser:
         self.field, self.targets, self.preset, self.losses = field, targets, preset, losses
         self.iteration = 0
         self.stop = EarlyStop(preset.patience)
-        self._prune, self._looked = prune, -1
+        self._looked = -1
+        prune = prune and cloud.count >= PRUNE_FROM
+        self.looks: frozenset[int] = look_schedule(preset, len(targets)) if prune else frozenset()
         self._views = GuidanceViews(cloud, targets, dssim=losses.dssim, background=background)
         self._held_out = GuidanceViews(cloud, held_out, dssim=losses.dssim, background=background)
         self._best: dict[str, torch.Tensor] | None = None
@@ -79,11 +96,8 @@ class Optimiser:
     def step(self) -> dict[str, float]:
         """One iteration on the next batch; returns the parts of the loss."""
         size = self.size_now()
-        if self._prune and self._due(size):
-            with torch.no_grad():
-                weights = self.field()
-            self._views.look(lambda transforms: self._posed(weights, transforms), size)
-            self._looked = self.iteration
+        if self.must_look:
+            self.look()
         self.field.unlock(self.iteration / max(self.preset.iterations, 1))
         for group in self._adam.param_groups:
             group["lr"] = self._rate * self._decay()
@@ -113,7 +127,8 @@ class Optimiser:
                 means, quats = self._posed(weights, target.transforms[None])
                 losses.append(self._held_out.loss(means[0], quats[0], index, size))
         value = float(np.mean(losses))
-        if self.stop.add(self.iteration, value):
+        last_stage = self.iteration > self.preset.iterations - self.preset.stages[-1][1]
+        if self.stop.add(self.iteration, value, counts=last_stage):
             self._best = {name: part.detach().clone() for name, part in self.field.state_dict().items()}
         return value
 
@@ -158,6 +173,18 @@ class Optimiser:
                 return size
         return self.preset.stages[-1][0]
 
+    @property
+    def must_look(self) -> bool:
+        """Whether the next iteration begins with a `look`."""
+        return self.iteration in self.looks and self.iteration != self._looked
+
+    def look(self, size: int | None = None) -> None:
+        """Find out which splats the views see with the present weights, at the next iteration's image size."""
+        with torch.no_grad():
+            weights = self.field()
+        self._views.look(lambda transforms: self._posed(weights, transforms), size or self.size_now())
+        self._looked = self.iteration
+
     def try_out(self, size: int) -> None:
         """Do the work of an iteration at `size` px without learning from it: for a measure of the time."""
         state = self._rng.bit_generator.state
@@ -185,16 +212,6 @@ class Optimiser:
         self._adam.zero_grad()
         loss.backward()
         return {name: float(part.detach()) for name, part in parts.items()}
-
-    def _due(self, size: int) -> bool:
-        if self._looked < 0:
-            return True
-        before = self.iteration
-        self.iteration = self._looked
-        last_size = self.size_now()
-        self.iteration = before
-        epoch = len(self.targets) / max(1, min(self.preset.batch, len(self.targets)))
-        return size != last_size or before - self._looked >= LOOK_EPOCHS * epoch
 
     def _posed(
         self, weights: torch.Tensor, transforms: NDArray[np.float64]

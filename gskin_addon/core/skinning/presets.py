@@ -36,7 +36,7 @@ class Preset:
 
 
 PRESETS: dict[str, Preset] = {
-    "draft": Preset("A first look in well under a minute", 12, ((256, 60), (512, 40)), 4),
+    "draft": Preset("A first look in well under a minute", 12, ((256, 60), (512, 40)), 4, held_out=0),
     "standard": Preset("The default: good weights in a minute or two", 24, ((256, 80), (512, 120)), 4),
     "high": Preset("More poses and longer learning", 50, ((256, 100), (512, 400)), 6),
     "paper": Preset("The schedule of the G-Skin paper: 500 iterations of 20 images", 50, ((512, 500),), 20),

@@ -25,14 +25,17 @@ class EarlyStop:
     _mark: float = float("inf")
     _waited: int = 0
 
-    def add(self, iteration: int, loss: float) -> bool:
-        """Take in the loss after so many iterations; True where it is the lowest so far."""
+    def add(self, iteration: int, loss: float, *, counts: bool = True) -> bool:
+        """Take in the loss after so many iterations; True where it is the lowest so far.
+
+        `counts=False` is for stages whose end is not the end of learning: they try nobody's patience.
+        """
         self.history.append((iteration, loss))
         better = loss < self.best
         if better:
             self.best, self.best_at = loss, iteration
-        if loss < self._mark * (1 - ENOUGH):
-            self._mark, self._waited = loss, 0
+        if not counts or loss < self._mark * (1 - ENOUGH):
+            self._mark, self._waited = min(loss, self._mark), 0
         else:
             self._waited += 1
         if self.patience and self._waited >= self.patience:

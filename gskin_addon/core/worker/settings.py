@@ -12,6 +12,7 @@ from ..errors import InputError
 from ..guidance import DEFAULT_GUIDANCE, GUIDANCE
 from ..skinning.fields import WEIGHT_FIELDS
 from ..skinning.initial import INITIAL_WEIGHTS
+from ..skinning.losses import LossWeights
 from ..skinning.presets import DEFAULT_PRESET, PRESETS
 from ..splats.hygiene import Hygiene
 
@@ -35,7 +36,8 @@ class JobSettings:
     no limit; seed: of all randomness; front: a key of FRONTS; options: the guidance provider's own;
     field: a name in WEIGHT_FIELDS or PRESET_FIELD; field_options: the weight field's own; mesh: file of a
     proxy mesh in the same world space, whose vertices get the weights and carry the splats, a path or a name in
-    the job's folder; empty for none; hygiene: what to do about bad splats, see `Hygiene`.
+    the job's folder; empty for none; hygiene: what to do about bad splats, see `Hygiene`; losses: factors of the
+    loss, see `LossWeights`.
     """
 
     preset: str = DEFAULT_PRESET
@@ -49,6 +51,7 @@ class JobSettings:
     field_options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     mesh: str = ""
     hygiene: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    losses: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
     @classmethod
     def parse(cls, values: Mapping[str, Any]) -> JobSettings:
@@ -77,6 +80,7 @@ class JobSettings:
         if not isinstance(settings.mesh, str):
             raise InputError(f"The job's mesh is {settings.mesh!r}; it must be the path of a mesh file.")
         Hygiene.parse(settings.hygiene)
+        LossWeights.parse(settings.losses)
         for name in ("max_influences", "seed"):
             value = getattr(settings, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < 0:

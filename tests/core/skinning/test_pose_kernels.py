@@ -25,9 +25,8 @@ def test_values_and_gradients_equal_those_of_torch_in_float64(bones, poses):
     quats = limb.cloud.quats * rng.uniform(0.5, 2, (300, 1)).astype(np.float32)  # need not be unit
 
     slow = torch.tensor(start, requires_grad=True)
-    expected = pose_splats(
-        torch.from_numpy(limb.cloud.means.astype(np.float64)), torch.from_numpy(quats.astype(np.float64)), slow, transforms
-    )
+    means = torch.from_numpy(limb.cloud.means.astype(np.float64))
+    expected = pose_splats(means, torch.from_numpy(quats.astype(np.float64)), slow, transforms)
     sum((e * torch.from_numpy(p)).sum() for e, p in zip(expected, pulls, strict=True)).backward()
     fast = torch.tensor(start, dtype=torch.float32, requires_grad=True)
     found = pose_splats_fused(limb.cloud.means, quats, fast, transforms)
