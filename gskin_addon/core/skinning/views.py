@@ -20,7 +20,7 @@ from ..splats.cloud import SplatCloud
 Array = NDArray[np.float32]
 
 SEEN = 0.005
-"""Blending weight that a splat must reach somewhere in a view, at `LOOK` px, to be rendered in it: about 0.01 at 512 px.
+"""Blending weight that a splat must reach in a view, at `LOOK` px, to be rendered in it: about 0.01 at 512 px.
 
 A higher one (0.01 at 256 px) costs 1 % of the final error in weights, this one nothing measurable."""
 LOOK = 256

@@ -64,6 +64,7 @@ class Forecast:
         return 1.0 - self.left() / whole if whole > 0 else 0.0
 
     def _speed(self) -> float:
-        """Measured seconds over guessed ones: the median of the kinds, as some guidance is a thousand times slower."""
-        ratios = [work.seen / work.measured / work.guess for work in self._work.values() if work.measured and work.guess]
+        """Measured over guessed seconds: the median of the kinds, as some guidance is a thousand times slower."""
+        known = [work for work in self._work.values() if work.measured and work.guess]
+        ratios = [work.seen / work.measured / work.guess for work in known]
         return median(ratios) if ratios else 1.0
