@@ -15,7 +15,7 @@ help:
 	@echo 'make test-window    the extension in a real Blender window; BLENDER=/path/to/blender, else (as root) one of Debian'
 	@echo 'make lint           ruff and mypy'
 	@echo 'make zip            the Blender extension, into dist'
-	@echo 'make bench-speed    speed of the rasteriser'
+	@echo 'make bench-speed    speed of the rasterisers, also on a GPU where there is one'
 	@echo 'make bench-quality  weights before and after learning, on assets with known weights'
 
 $(STAMP): pyproject.toml tools/make_venv.py
@@ -41,6 +41,7 @@ zip: $(STAMP)
 
 bench-speed: $(STAMP)
 	@$(RUN) benchmarks/bench_rasterizer.py
+	@$(RUN) benchmarks/bench_gpu.py
 
 bench-quality: $(STAMP)
 	@$(RUN) -m benchmarks.bench_quality

@@ -76,6 +76,10 @@ def main() -> int:
         return fail(
             "The environment was installed but does not import; the lines above say which part is missing."
         )
+    say("compiling the kernels of jobs, once")
+    worker = ROOT / "gskin_addon" / "core" / "worker" / "process.py"
+    if subprocess.call([own, str(worker), "--warm"], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL) != 0:
+        say("that failed; the first job will compile them, or say why it cannot")
     stamp.write_text(fingerprint)
     say("ready")
     return 0

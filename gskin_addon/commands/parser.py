@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from ..core.guidance import DEFAULT_GUIDANCE, GUIDANCE
+from ..core.render.backends import AUTO, BACKENDS
 from ..core.skinning.fields import WEIGHT_FIELDS
 from ..core.skinning.initial import INITIAL_WEIGHTS
 from ..core.skinning.presets import DEFAULT_PRESET, PRESETS
@@ -74,6 +75,12 @@ def _rig(commands: Any) -> None:
         choices=(PRESET_FIELD, *WEIGHT_FIELDS),
         default=PRESET_FIELD,
         help="what the weights are a function of (default: as the preset says)",
+    )
+    rig.add_argument(
+        "--rasterizer",
+        choices=(AUTO, *BACKENDS),
+        default=AUTO,
+        help="what draws the splats (default: the fastest that works here)",
     )
     rig.add_argument(
         "--init",

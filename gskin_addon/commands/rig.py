@@ -60,6 +60,7 @@ def run(options: argparse.Namespace) -> None:
         "init": options.init,
         "guidance": options.guidance,
         "field": options.field,
+        "rasterizer": options.rasterizer,
         "max_influences": options.max_influences,
         "seed": options.seed,
         "front": options.front,

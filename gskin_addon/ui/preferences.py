@@ -42,6 +42,8 @@ class GSkinPreferences(bpy.types.AddonPreferences):
         report = checks.known(python)
         if report is not None:
             layout.label(text=report.sentence, icon="CHECKMARK" if report.usable else "ERROR")
+            if checks.warming(python):
+                layout.label(text="Compiling for the first job, a minute, once; you may go on working", icon="TIME")
         elif checks.asking(python):
             layout.label(text=f"Asking {python} ...", icon="TIME")
         else:
@@ -96,7 +98,7 @@ def _redraw_until_answered(python: Path) -> float | None:
         for area in window.screen.areas:
             if area.type in {"PREFERENCES", "VIEW_3D"}:
                 area.tag_redraw()
-    return 0.2 if checks.asking(python) else None
+    return 0.2 if checks.asking(python) or checks.warming(python) else None
 
 
 CLASSES = (GSkinPreferences, GSKIN_OT_check_python)

@@ -52,6 +52,7 @@ def one_sentence(text: str) -> bool:
         ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--seed", "-1"],
         ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--max-aspect", "0.5"],
         ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--field", "grid"],
+        ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--rasterizer", "ray"],
         ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--arm", "x"],
         ["render", "a.ply", "--out", "o.png", "--background", "1", "2", "0"],
         ["render", "a.ply", "--out", "o.png", "--size", "many"],

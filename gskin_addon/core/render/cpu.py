@@ -194,14 +194,9 @@ class CpuScene:
         threads: int | None,
         weights: bool = False,
     ) -> tuple[Frame, Array]:
-        m, q = np.ascontiguousarray(means, np.float32), np.ascontiguousarray(quats, np.float32)
-        c = self.colors if colors is None else np.ascontiguousarray(colors, np.float32)
         n = len(self.scales)
-        if m.shape != (n, 3) or q.shape != (n, 4) or c.shape != (n, 3):
-            raise InputError(
-                f"The scene has {n} splats, but means, quats and colors have the shapes "
-                f"{m.shape}, {q.shape} and {c.shape}; give one row per splat."
-            )
+        c = self.colors if colors is None else np.ascontiguousarray(colors, np.float32)
+        m, q = check_splats(means, quats, c, n)
         threads = thread_count() if threads is None else threads
         height, width = camera.size
         columns = (width + TILE - 1) // TILE
@@ -261,6 +256,30 @@ def render_and_grad_each(
     return values, [g[0] for g in grads], [g[1] for g in grads]
 
 
+def check_splats(means: ArrayLike, quats: ArrayLike, colors: Array | None, count: int) -> tuple[Array, Array]:
+    """means (N,3) and quats (N,4) as float32. InputError if they or colors (N,3) do not have `count` rows."""
+    m, q = np.ascontiguousarray(means, np.float32), np.ascontiguousarray(quats, np.float32)
+    c = np.zeros((count, 3)) if colors is None else colors
+    if m.shape != (count, 3) or q.shape != (count, 4) or c.shape != (count, 3):
+        raise InputError(
+            f"The scene has {count} splats, but means, quats and colors have the shapes "
+            f"{m.shape}, {q.shape} and {c.shape}; give one row per splat."
+        )
+    return m, q
+
+
+def check_scene(scales: ArrayLike, colors: ArrayLike, opacities: ArrayLike) -> tuple[Array, Array, Array]:
+    """scales (N,3), colors (N,3) and opacities (N,) as float32. InputError if they do not belong together."""
+    s, c = np.ascontiguousarray(scales, np.float32), np.ascontiguousarray(colors, np.float32)
+    o = np.ascontiguousarray(opacities, np.float32).reshape(-1)
+    if s.shape != (len(o), 3) or c.shape != (len(o), 3):
+        raise InputError(
+            f"Scales {s.shape}, colors {c.shape} and opacities {o.shape} do not belong together; "
+            "give (N,3), (N,3) and (N,)."
+        )
+    return s, c, o
+
+
 def prepare(
     scales: ArrayLike,
     colors: ArrayLike,
@@ -275,11 +294,4 @@ def prepare(
     sqrt(det(S + e) / det(S + dilation)), as Mip-Splatting does with e = 0: a low-resolution stage takes
     e = dilation (size / 512)^2 and then looks like a 512 px image made small.
     """
-    s, c = np.ascontiguousarray(scales, np.float32), np.ascontiguousarray(colors, np.float32)
-    o = np.ascontiguousarray(opacities, np.float32).reshape(-1)
-    if s.shape != (len(o), 3) or c.shape != (len(o), 3):
-        raise InputError(
-            f"Scales {s.shape}, colors {c.shape} and opacities {o.shape} do not belong together; "
-            "give (N,3), (N,3) and (N,)."
-        )
-    return CpuScene(s, c, o, float(dilation), compensate)
+    return CpuScene(*check_scene(scales, colors, opacities), float(dilation), compensate)

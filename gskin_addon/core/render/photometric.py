@@ -8,7 +8,7 @@ everything that differs from the background.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -180,29 +180,47 @@ def union(a: Box, b: Box) -> Box:
     return min(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), max(a[3], b[3])
 
 
+@dataclass(frozen=True, eq=False)
+class PhotometricLoss:
+    """The loss of one guidance image; made by `photometric_loss`. Backends that know it compute it themselves.
+
+    target (H,W,3), uint8 or float in 0..1; box: where it differs from the background; uploaded: copies of the
+    target that backends keep, by device.
+    """
+
+    target: NDArray[Any]
+    box: Box
+    weight: float
+    uploaded: dict[str, Any] = field(default_factory=dict)
+
+    def __call__(self, image: Array, alpha: Array) -> tuple[float, Array]:
+        """Value and gradient to the image (H,W,3) of a render and its alpha (H,W)."""
+        self.check(image.shape)
+        y0, y1, x0, x1 = union(self.box, content_box(alpha > 0.0))
+        scale = np.float32(1.0 / 255.0) if self.target.dtype == np.uint8 else np.float32(1.0)
+        part = np.ascontiguousarray(self.target[y0:y1, x0:x1].astype(np.float32) * scale)
+        return _boxed(image, part, y0, x0, self.weight)
+
+    def check(self, shape: tuple[int, ...]) -> None:
+        """InputError if a render has another shape."""
+        if tuple(shape) != self.target.shape:
+            raise InputError(f"The render is {shape}, its guidance image {self.target.shape}; give both one size.")
+
+
 def photometric_loss(
     target: ArrayLike,
     background: ArrayLike = (1.0, 1.0, 1.0),
     *,
     weight: float = DSSIM_WEIGHT,
     box: Box | None = None,
-) -> Callable[[Array, Array], tuple[float, Array]]:
+) -> PhotometricLoss:
     """The loss of one guidance image, for `scene.render_and_grad`: (image, alpha) -> (value, gradient).
 
     `target` (H,W,3), uint8 or float in 0..1, over `background` (3,); `box` is its content_box where known.
     """
     t = np.asarray(target)
-    back = np.asarray(background, np.float32)
-    scale = np.float32(1.0 / 255.0) if t.dtype == np.uint8 else np.float32(1.0)
     if box is None:
+        scale = np.float32(1.0 / 255.0) if t.dtype == np.uint8 else np.float32(1.0)
+        back = np.asarray(background, np.float32)
         box = content_box((np.abs(t.astype(np.float32) * scale - back) > 1e-6).any(axis=2))
-    known = box
-
-    def loss(image: Array, alpha: Array) -> tuple[float, Array]:
-        if image.shape != t.shape:
-            raise InputError(f"The render is {image.shape}, its guidance image {t.shape}; give both one size.")
-        y0, y1, x0, x1 = union(known, content_box(alpha > 0.0))
-        part = np.ascontiguousarray(t[y0:y1, x0:x1].astype(np.float32) * scale)
-        return _boxed(image, part, y0, x0, weight)
-
-    return loss
+    return PhotometricLoss(t, box, weight)

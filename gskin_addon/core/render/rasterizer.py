@@ -3,17 +3,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import InputError
 from ..splats.cloud import SplatCloud
 from ..splats.sh import eval_sh
+from .backends import BACKENDS, resolve_backend
 from .camera import Camera
-from .cpu import prepare as prepare_cpu
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -52,19 +52,6 @@ class Scene(Protocol):
         """Largest blending weight of each splat, (N,)."""
 
 
-BACKENDS: dict[str, Callable[..., Scene]] = {"cpu": prepare_cpu}
-"""Name -> prepare(scales, colors, opacities, *, dilation, compensate) -> Scene."""
-
-
-def resolve_backend(name: str = "auto") -> str:
-    """The backend that `name` stands for; "auto" is the last one registered. InputError if unknown."""
-    if name == "auto":
-        return list(BACKENDS)[-1]
-    if name not in BACKENDS:
-        raise InputError(f'There is no rasteriser "{name}"; choose one of auto, {", ".join(BACKENDS)}.')
-    return name
-
-
 def prepare(
     scales: ArrayLike,
     colors: ArrayLike,
@@ -75,7 +62,9 @@ def prepare(
     compensate: float | None = None,
 ) -> Scene:
     """A scene for many renders of moving splats: scales and colors (N,3), opacities (N,); see cpu.prepare."""
-    return BACKENDS[resolve_backend(backend)](scales, colors, opacities, dilation=dilation, compensate=compensate)
+    module = import_module(BACKENDS[resolve_backend(backend)].module, __package__)
+    scene: Scene = module.prepare(scales, colors, opacities, dilation=dilation, compensate=compensate)
+    return scene
 
 
 def rasterize(
@@ -107,9 +96,12 @@ def view_colors(cloud: SplatCloud, camera: Camera) -> Array:
 
 
 def render_cloud(
-    cloud: SplatCloud, camera: Camera, background: ArrayLike = (1.0, 1.0, 1.0), backend: str = "auto"
+    cloud: SplatCloud, camera: Camera, background: ArrayLike = (1.0, 1.0, 1.0), backend: str = "cpu"
 ) -> tuple[Array, Array]:
-    """Picture of a cloud: image (H,W,3) in 0..1 sRGB over `background` (3,), and alpha (H,W), float32."""
+    """Picture of a cloud: image (H,W,3) in 0..1 sRGB over `background` (3,), and alpha (H,W), float32.
+
+    By the CPU unless asked otherwise: for one picture it is done before a GPU has begun.
+    """
     scene = prepare(cloud.scales, view_colors(cloud, camera), cloud.opacities, backend=backend)
     frame = scene.forward(cloud.means, cloud.quats, camera, background)
     return np.clip(frame.image, 0.0, 1.0), frame.alpha

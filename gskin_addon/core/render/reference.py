@@ -18,10 +18,10 @@ def quat_to_matrix(quats: Tensor) -> Tensor:
         2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], -1).reshape(-1, 3, 3)  # fmt: skip
 
 
-def project(means: Tensor, quats: Tensor, scales: Tensor, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
-    """Pixels (N,2), depths (N,), undilated image covariances (N,2,2) by EWA (Zwicker et al. 2001)."""
-    W = torch.as_tensor(camera.rotation, dtype=means.dtype)
-    p = means @ W.T + torch.as_tensor(camera.translation, dtype=means.dtype)
+def image_axes(means: Tensor, quats: Tensor, scales: Tensor, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
+    """Pixels (N,2), depths (N,), and U (N,2,3): U U^T is the undilated image covariance (Zwicker et al. 2001)."""
+    W = torch.as_tensor(camera.rotation, dtype=means.dtype, device=means.device)
+    p = means @ W.T + torch.as_tensor(camera.translation, dtype=means.dtype, device=means.device)
     x, y, z = p.unbind(-1)
     pixels = torch.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], -1)
     edge_x, edge_y = 0.15 * camera.width / camera.fx, 0.15 * camera.height / camera.fy
@@ -30,7 +30,12 @@ def project(means: Tensor, quats: Tensor, scales: Tensor, camera: Camera) -> tup
     nil = torch.zeros_like(z)
     J = torch.stack([camera.fx / z, nil, -camera.fx * u / z, nil, camera.fy / z, -camera.fy * v / z], -1)
     V = quat_to_matrix(quats) * scales[:, None, :]
-    U = J.reshape(-1, 2, 3) @ W @ V
+    return pixels, z, J.reshape(-1, 2, 3) @ W @ V
+
+
+def project(means: Tensor, quats: Tensor, scales: Tensor, camera: Camera) -> tuple[Tensor, Tensor, Tensor]:
+    """Pixels (N,2), depths (N,), undilated image covariances (N,2,2)."""
+    pixels, z, U = image_axes(means, quats, scales, camera)
     return pixels, z, U @ U.transpose(1, 2)
 
 

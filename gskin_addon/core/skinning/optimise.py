@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ..render.backends import AUTO, resolve_backend
 from ..rig.skeleton import Skeleton
 from ..splats.cloud import SplatCloud
 from .anchor import Anchor
@@ -17,6 +19,7 @@ from .arap import arap_loss
 from .coupling import coupling_loss, prepare_coupling
 from .fields.base import WeightField
 from .losses import LossWeights
+from .on_device import DeviceRenderer, tensor_device
 from .posers import Poser, SplatPoser
 from .presets import Preset
 from .stopping import EarlyStop
@@ -70,21 +73,27 @@ class Optimiser:
         prune: bool = True,
         seed: int = 0,
         background: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        rasterizer: str = AUTO,
     ) -> None:
         self.field, self.targets, self.preset, self.losses = field, targets, preset, losses
         self.iteration = 0
         self.stop = EarlyStop(preset.patience)
         self._looked = -1
-        prune = prune and cloud.count >= PRUNE_FROM
-        self.looks: frozenset[int] = look_schedule(preset, len(targets)) if prune else frozenset()
-        self._views = GuidanceViews(cloud, targets, dssim=losses.dssim, background=background)
-        self._held_out = GuidanceViews(cloud, held_out, dssim=losses.dssim, background=background)
+        self.rasterizer = resolve_backend(rasterizer)
+        views = partial(
+            GuidanceViews, cloud, dssim=losses.dssim, background=background, backend=self.rasterizer
+        )
+        self._views, self._held_out = views(targets), views(held_out)
         self._best: dict[str, torch.Tensor] | None = None
         self._rng = np.random.default_rng(seed)
         self._queue: list[int] = []
         self._rate = preset.learning_rate * field.rate
         self._adam = torch.optim.Adam(field.parameters(), lr=self._rate, betas=(0.9, 0.99))
         self._poser: Poser = poser or SplatPoser(cloud, losses.arap_neighbours)
+        self._on_device = self._device_renderer(cloud, background)
+        # A GPU gains less from fewer splats than it loses by looking.
+        prune = prune and cloud.count >= PRUNE_FROM and self._on_device is None
+        self.looks: frozenset[int] = look_schedule(preset, len(targets)) if prune else frozenset()
         nodes, self._neighbours = self._poser.nodes, self._poser.neighbours
         self._nodes = nodes
         self._anchor = Anchor(field, confidence)
@@ -196,22 +205,35 @@ class Optimiser:
         """The gradient of the loss on the targets `batch`, into the field; returns the parts of the loss."""
         transforms = np.stack([self.targets[i].transforms for i in batch])
         weights = self.field()
-        posed = self._poser.pose(weights, transforms)
-        render = _Render.apply(posed.means, posed.quats, self._views, batch, size)  # type: ignore[no-untyped-call]
+        if self._on_device is not None:
+            render, nodes = self._on_device(weights, transforms, self._views.by_scene(batch, size))
+        else:
+            posed = self._poser.pose(weights, transforms)
+            nodes = posed.nodes
+            render = _Render.apply(posed.means, posed.quats, self._views, batch, size)  # type: ignore[no-untyped-call]
         parts = {"render": render}
         loss = render
         if self.losses.arap:
-            parts["arap"] = self._arap(posed.nodes)
+            parts["arap"] = self._arap(nodes)
             loss = loss + self.losses.arap * parts["arap"]
         if self.losses.coupling:
-            parts["coupling"] = coupling_loss(self._coupling, posed.nodes, transforms)
+            parts["coupling"] = coupling_loss(self._coupling, nodes, transforms)
             loss = loss + self.losses.coupling * parts["coupling"]
         if self.losses.anchor:
             parts["anchor"] = self._anchor.loss(weights, self._rng)
             loss = loss + self.losses.anchor * parts["anchor"]
         self._adam.zero_grad()
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         return {name: float(part.detach()) for name, part in parts.items()}
+
+    def _device_renderer(
+        self, cloud: SplatCloud, background: tuple[float, float, float]
+    ) -> DeviceRenderer | None:
+        """For vanilla splats and a rasteriser that takes torch tensors."""
+        if self.rasterizer == "cpu" or not self.targets or not isinstance(self._poser, SplatPoser):
+            return None
+        device = tensor_device(self._views.scene(0, self.size_now()))
+        return None if device is None else DeviceRenderer(cloud, device, background)
 
     def _posed(
         self, weights: torch.Tensor, transforms: NDArray[np.float64]

@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..render.backends import AUTO
 from ..render.camera import Camera
-from ..render.cpu import DILATION, CpuScene, ImageLoss, render_and_grad_each
-from ..render.photometric import Box, content_box, photometric_loss
+from ..render.cpu import DILATION, CpuScene, render_and_grad_each
+from ..render.photometric import PhotometricLoss, content_box, photometric_loss
 from ..render.rasterizer import Scene, prepare, view_colors
 from ..splats.cloud import SplatCloud
+from .on_device import Views
 
 Array = NDArray[np.float32]
 
@@ -50,16 +52,16 @@ class GuidanceViews:
         *,
         dssim: float,
         background: tuple[float, float, float],
+        backend: str = AUTO,
     ) -> None:
         self.targets = targets
-        self._cloud, self._dssim, self._background = cloud, dssim, background
+        self._cloud, self._dssim, self._background, self._backend = cloud, dssim, background, backend
         keys = [t.camera.rotation.tobytes() + t.camera.translation.tobytes() for t in targets]
         order = {key: number for number, key in enumerate(dict.fromkeys(keys))}
         self.view = [order[key] for key in keys]
         self.seen: list[NDArray[np.bool_] | None] = [None] * len(order)
         self._scenes: dict[tuple[int, int, bool], Scene] = {}
-        self._images: dict[tuple[int, int], NDArray[np.uint8]] = {}
-        self._boxes: dict[tuple[int, int], Box] = {}
+        self._losses: dict[tuple[int, int], PhotometricLoss] = {}
 
     def render_and_grad(
         self, means: Array, quats: Array, batch: Sequence[int], size: int
@@ -67,7 +69,7 @@ class GuidanceViews:
         """Mean photometric loss of the targets `batch` at `size` px, and its gradients to means (P, N, 3) and
         quats (P, N, 4); zero for splats that the target's view does not see."""
         slots = range(len(batch))
-        scenes = [self._scene(index, size) for index in batch]
+        scenes = [self.scene(index, size) for index in batch]
         keep = [self.seen[self.view[index]] for index in batch]
         parts = [
             (means[p], quats[p]) if k is None else (means[p, k], quats[p, k])
@@ -87,7 +89,7 @@ class GuidanceViews:
 
     def loss(self, means: Array, quats: Array, index: int, size: int) -> float:
         """Photometric loss of one target for means (N, 3), quats (N, 4), all splats rendered."""
-        scene = self._scene(index, size, whole=True)
+        scene = self.scene(index, size, whole=True)
         frame = scene.forward(means, quats, self.targets[index].camera.resized(size), self._background)
         return self._loss(index, size)(frame.image, frame.alpha)[0]
 
@@ -102,7 +104,7 @@ class GuidanceViews:
             chunk = range(first, min(first + _CHUNK, len(self.targets)))
             means, quats = pose(np.stack([self.targets[index].transforms for index in chunk]))
             for m, q, index in zip(means, quats, chunk, strict=True):
-                scene = self._scene(index, size, whole=True)
+                scene = self.scene(index, size, whole=True)
                 weight = scene.contribution(m, q, self.targets[index].camera.resized(size))
                 view = self.view[index]
                 np.maximum(most[view], weight, out=most[view])
@@ -113,7 +115,18 @@ class GuidanceViews:
         self.seen = [None if mask is None or mask.all() else mask for mask in seen]
         self._scenes = {key: scene for key, scene in self._scenes.items() if key[2]}
 
-    def _scene(self, index: int, size: int, *, whole: bool = False) -> Scene:
+    def by_scene(self, batch: Sequence[int], size: int) -> list[Views]:
+        """The targets `batch` by the scene that they share; nothing is left out of it."""
+        found: dict[int, Views] = {}
+        for slot, index in enumerate(batch):
+            scene = self.scene(index, size, whole=True)
+            views = found.setdefault(id(scene), Views(scene, [], [], []))
+            views.slots.append(slot)
+            views.cameras.append(self.targets[index].camera.resized(size))
+            views.losses.append(self._loss(index, size))
+        return list(found.values())
+
+    def scene(self, index: int, size: int, *, whole: bool = False) -> Scene:
         """The splats as a target's camera sees them at rest; their colours are constants of the optimisation."""
         view = self.view[index]
         mask = None if whole else self.seen[view]
@@ -125,27 +138,26 @@ class GuidanceViews:
             full = camera.height
             # Small renders would be blurrier than averaged guidance: correct the opacity for the filter.
             compensate = None if size == full else DILATION * (size / full) ** 2
-            self._scenes[key] = prepare(part.scales, view_colors(part, camera), part.opacities, compensate=compensate)
+            self._scenes[key] = prepare(
+                part.scales,
+                view_colors(part, camera),
+                part.opacities,
+                compensate=compensate,
+                backend=self._backend,
+            )
         return self._scenes[key]
 
-    def _loss(self, index: int, size: int) -> ImageLoss:
-        image = self._image(index, size)
+    def _loss(self, index: int, size: int) -> PhotometricLoss:
+        """The loss of a guidance image, kept while `size` lasts."""
         key = (index, size)
-        if key not in self._boxes:
+        if key not in self._losses:
+            self._losses = {k: loss for k, loss in self._losses.items() if k[1] == size}
+            image = self.targets[index].image
+            image = image if image.shape[0] <= size else shrink(image, size)
             bare = np.asarray(self._background) * 255.0
-            self._boxes[key] = content_box((np.abs(image - bare) > 0.1).any(axis=-1))
-        return photometric_loss(image, self._background, weight=self._dssim, box=self._boxes[key])
-
-    def _image(self, index: int, size: int) -> NDArray[np.uint8]:
-        """The guidance image, made smaller where it was made larger than `size`."""
-        image = self.targets[index].image
-        if image.shape[0] <= size:
-            return image
-        key = (index, size)
-        if key not in self._images:
-            self._images = {k: v for k, v in self._images.items() if k[1] == size}
-            self._images[key] = shrink(image, size)
-        return self._images[key]
+            box = content_box((np.abs(image - bare) > 0.1).any(axis=-1))
+            self._losses[key] = photometric_loss(image, self._background, weight=self._dssim, box=box)
+        return self._losses[key]
 
 
 def shrink(image: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
@@ -181,7 +193,7 @@ def _render_all(
     scenes: Sequence[Scene],
     parts: Sequence[tuple[Array, Array]],
     cameras: Sequence[Camera],
-    losses: Sequence[ImageLoss],
+    losses: Sequence[PhotometricLoss],
     background: tuple[float, float, float],
 ) -> tuple[NDArray[np.float64], list[Array], list[Array]]:
     """Values and gradients of P images; images of one scene go to its backend together."""

@@ -49,7 +49,7 @@ def main(folder: str | Path, pipeline: Pipeline | None = None) -> int:
 
     `pipeline` is core/worker/pipeline.run unless another is given.
     """
-    send = _take_stdout()
+    send = take_stdout()
     cancelled = threading.Event()
     if os.name == "posix":
         # These normally reach us through the supervisor, as a closed stdin.
@@ -164,7 +164,7 @@ def _give_up(cancelled: threading.Event) -> None:
     os._exit(130)
 
 
-def _take_stdout() -> Callable[[dict[str, Any]], None]:
+def take_stdout() -> Callable[[dict[str, Any]], None]:
     """Keep stdout for the lines of the contract; whatever else is printed, also from C, goes to stderr."""
     sys.stdout.flush()
     channel: BinaryIO = os.fdopen(os.dup(1), "wb", buffering=0)

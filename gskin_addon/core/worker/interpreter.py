@@ -148,11 +148,39 @@ def check_python(python: str | Path, timeout: float = 120.0) -> PythonReport:
     return PythonReport(python, tuple(version), found, broken, cuda)
 
 
+def warm_up(python: str | Path) -> str:
+    """Let `python` compile what jobs need, so that the first one starts at once; waits, up to minutes.
+
+    Returns "" or one line on what went wrong; a job then compiles for itself. Ends when this process does.
+    """
+    command = [str(python), "-u", str(Path(__file__).with_name("process.py")), "--warm"]
+    below = getattr(subprocess, "CREATE_NO_WINDOW", 0) | getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0)
+    try:
+        with subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+            env=worker_environment(), creationflags=below,
+        ) as process:  # fmt: skip
+            lines = [] if process.stdout is None else process.stdout.read().decode(errors="replace").splitlines()
+            code = process.wait()
+    except OSError as error:
+        return f"'{python}' cannot be started ({error.strerror})."
+    if code == 0:
+        return ""
+    try:
+        return str(json.loads(lines[-1])["error"])
+    except (IndexError, KeyError, ValueError):
+        return f"'{python}' ended with exit code {code} while it prepared."
+
+
 class PythonChecks:
-    """Answers of `check_python`, asked for in the background and remembered; reading never waits."""
+    """Answers of `check_python`, asked for in the background and remembered; reading never waits.
+
+    An interpreter that can run jobs is warmed up next, once.
+    """
 
     def __init__(self) -> None:
         self._reports: dict[str, PythonReport | None] = {}
+        self._warm: dict[str, bool] = {}
 
     def ask(self, python: str | Path) -> None:
         """Start asking `python`, unless that is under way."""
@@ -170,8 +198,18 @@ class PythonChecks:
         """Whether an answer is under way."""
         return str(python) in self._reports and self._reports[str(python)] is None
 
+    def warming(self, python: str | Path) -> bool:
+        """Whether the interpreter is compiling ahead at the moment."""
+        return self._warm.get(str(python)) is False
+
     def _answer(self, key: str) -> None:
-        self._reports[key] = check_python(key)
+        report = self._reports[key] = check_python(key)
+        if report.usable and key not in self._warm:
+            self._warm[key] = False
+            problem = warm_up(key)
+            self._warm[key] = True
+            if problem:
+                print(f"GSkin: compiling ahead failed: {problem}", file=sys.stderr)
 
 
 def worker_environment() -> dict[str, str]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ..guidance import create_provider
 from ..guidance.control import make_signals
 from ..guidance.provider import GuidanceContext, to_bytes
+from ..render.backends import choose_backend
 from ..render.camera import PAPER_AZIMUTHS, Camera, paper_views, percentile_bounds
 from ..render.rasterizer import prepare, render_cloud, view_colors
 from ..rig.lbs import sparsify
@@ -74,7 +75,8 @@ def run(
     field_name = preset.field if chosen.field == PRESET_FIELD else chosen.field
     views = len(PAPER_AZIMUTHS)
     course = Course(progress, work(preset, views, min(cloud.count, subsets.LIMIT), skeleton.count))
-    course.say("initial", "Preparing the splats")
+    rasterizer, remark = choose_backend(chosen.rasterizer)
+    course.say("initial", remark or "Preparing the splats")
     whole, skeleton = to_unit_size(cloud, skeleton)
     hygiene = Hygiene.parse(chosen.hygiene)
     ignored, bad_counts = hygiene.find(whole)
@@ -114,11 +116,21 @@ def run(
     signals = make_signals(skeleton, cameras, preset.poses_per_view, rng)
     # Poses of their own, from their own seed: the others stay the same whatever is held out.
     unseen = make_signals(skeleton, cameras, preset.held_out, np.random.default_rng([chosen.seed, 1]))
-    begin = partial(Optimiser, subset.cloud, skeleton, field, poser=poser, losses=losses, seed=chosen.seed)
+    begin = partial(
+        Optimiser,
+        subset.cloud,
+        skeleton,
+        field,
+        poser=poser,
+        losses=losses,
+        seed=chosen.seed,
+        rasterizer=rasterizer,
+    )
     at_rest = [
         Target(s.camera, s.transforms, to_bytes(rest_pictures[s.view][0])) for s in signals[:: preset.poses_per_view]
     ]
     try_out(begin(at_rest, preset), course)
+    course.end_stage("prepare")
     targets = make_guidance(create_provider(chosen.guidance, context), [*signals, *unseen], course)
     del context, distances, rest_pictures
     course.end_stage("guidance")
@@ -142,6 +154,7 @@ def run(
     report = {
         "settings": chosen.as_dict(),
         "field": field_name,
+        "rasterizer": {"name": rasterizer, "remark": remark},
         "splats": whole.count,
         "splats_optimised": subset.cloud.count,
         "hygiene": {**bad_counts, **needle_counts},

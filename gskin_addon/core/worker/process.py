@@ -6,6 +6,8 @@ It prints JSON lines: {"stage", "fraction" (0 to 1, of the whole job), "seconds_
 "traceback", "exit_code"}. Closing a piped stdin, SIGTERM or SIGINT cancels it. Exit codes: 0 done, 1 failure,
 2 bad input, 130 cancelled. The same job started again goes on from its last checkpoint.
 
+`process.py --warm` compiles what jobs need into the user's cache instead.
+
 Started by its path, it loads the package around it, wherever that lies and whatever its folder is called, and
 leaves sys.path alone. Only syntax of old Pythons here: the check of the version must get to run.
 """
@@ -26,9 +28,10 @@ _NAME = "gskin_addon"
 def main(arguments: list[str] | None = None) -> int:
     """Run `JOBDIR`, in a second process that this one watches over; returns the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
-    computing = arguments[:1] == ["--compute"]
+    warming = arguments == ["--warm"]
+    computing = warming or arguments[:1] == ["--compute"]
     folders = arguments[1:] if computing else arguments
-    if len(folders) != 1 or folders[0].startswith("-"):
+    if not warming and (len(folders) != 1 or folders[0].startswith("-")):
         return _refuse("Usage: process.py JOBDIR (the folder of a job, see core/worker/contract.py).")
     if sys.version_info < (3, 11):  # noqa: UP036  (whoever starts this may name any Python)
         version = ".".join(str(number) for number in sys.version_info[:3])
@@ -37,7 +40,8 @@ def main(arguments: list[str] | None = None) -> int:
             "in the add-on's preferences (or GSKIN_PYTHON)."
         )
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # idle threads must not take the artist's cores
-    os.environ.setdefault("NUMBA_CACHE_DIR", numba_cache())
+    os.environ.setdefault("NUMBA_CACHE_DIR", user_cache("numba"))
+    os.environ.setdefault("WARP_CACHE_PATH", user_cache("warp"))
     package = load_package()
     if computing:
         if importlib.util.find_spec("numpy") is None:
@@ -45,6 +49,8 @@ def main(arguments: list[str] | None = None) -> int:
                 f"The worker's interpreter '{sys.executable}' lacks numpy; install with: "
                 f"{sys.executable} -m pip install numpy scipy numba torch"
             )
+        if warming:
+            return int(importlib.import_module(f"{package}.core.worker.warm").main())
         compute = importlib.import_module(f"{package}.core.worker.compute")
         return int(compute.main(folders[0]))
     supervisor = importlib.import_module(f"{package}.core.worker.supervisor")
@@ -72,22 +78,22 @@ def load_package() -> str:
     return _NAME
 
 
-def numba_cache() -> str:
-    """A folder of the user where compiled kernels are kept: the add-on's own may be read-only."""
+def user_cache(name: str) -> str:
+    """A folder of the user where `name` keeps compiled kernels: the add-on's own may be read-only."""
     if sys.platform == "win32":
         base = os.environ.get("LOCALAPPDATA") or os.path.expanduser("~")
     elif sys.platform == "darwin":
         base = os.path.expanduser("~/Library/Caches")
     else:
         base = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    folder = os.path.join(base, "gskin", "numba")
+    folder = os.path.join(base, "gskin", name)
     try:
         os.makedirs(folder, exist_ok=True)
         if os.access(folder, os.W_OK):
             return folder
     except OSError:
         print(f"'{folder}' cannot be made; compiled kernels are kept for this run only", file=sys.stderr)
-    return tempfile.mkdtemp(prefix="gskin-numba-")
+    return tempfile.mkdtemp(prefix=f"gskin-{name}-")
 
 
 def _refuse(sentence: str) -> int:

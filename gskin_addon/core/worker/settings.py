@@ -10,6 +10,7 @@ from typing import Any
 
 from ..errors import InputError
 from ..guidance import DEFAULT_GUIDANCE, GUIDANCE
+from ..render.backends import AUTO, BACKENDS
 from ..skinning.fields import WEIGHT_FIELDS
 from ..skinning.initial import INITIAL_WEIGHTS
 from ..skinning.losses import LossWeights
@@ -37,7 +38,7 @@ class JobSettings:
     field: a name in WEIGHT_FIELDS or PRESET_FIELD; field_options: the weight field's own; mesh: file of a
     proxy mesh in the same world space, whose vertices get the weights and carry the splats, a path or a name in
     the job's folder; empty for none; hygiene: what to do about bad splats, see `Hygiene`; losses: factors of the
-    loss, see `LossWeights`.
+    loss, see `LossWeights`; rasterizer: a name in BACKENDS, or "auto" for the fastest that works here.
     """
 
     preset: str = DEFAULT_PRESET
@@ -52,6 +53,7 @@ class JobSettings:
     mesh: str = ""
     hygiene: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     losses: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    rasterizer: str = AUTO
 
     @classmethod
     def parse(cls, values: Mapping[str, Any]) -> JobSettings:
@@ -73,6 +75,7 @@ class JobSettings:
             ("init", INITIAL_WEIGHTS),
             ("front", FRONTS),
             ("field", (PRESET_FIELD, *WEIGHT_FIELDS)),
+            ("rasterizer", (AUTO, *BACKENDS)),
         ):
             value = getattr(settings, name)
             if value not in choices:

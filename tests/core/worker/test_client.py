@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -164,14 +165,54 @@ def test_check_python_tells_what_is_wrong(tmp_path):
 def test_asking_does_not_wait(monkeypatch):
     checks = interpreter.PythonChecks()
     assert checks.known("python") is None
-    monkeypatch.setattr(interpreter, "check_python", lambda path: (time.sleep(0.2), "answer")[1])
+    answer = interpreter.PythonReport(Path("python"), fault="It is broken.")
+    monkeypatch.setattr(interpreter, "check_python", lambda path: (time.sleep(0.2), answer)[1])
     began = time.monotonic()
     checks.ask("python")
     assert time.monotonic() - began < 0.1
     assert checks.asking("python")
     while checks.asking("python"):
         time.sleep(0.01)
-    assert checks.known("python") == "answer"
+    assert checks.known("python") == answer
+    assert not checks.warming("python")
+
+
+def test_a_usable_interpreter_is_warmed_up_once_and_meanwhile_known(monkeypatch):
+    found = dict.fromkeys(interpreter.NEEDED, "1")
+    answer = interpreter.PythonReport(Path("python"), (3, 11, 0), found)
+    go_on, warmed = threading.Event(), []
+    monkeypatch.setattr(interpreter, "check_python", lambda path: answer)
+    monkeypatch.setattr(interpreter, "warm_up", lambda path: (warmed.append(path), go_on.wait(10), "")[2])
+    checks = interpreter.PythonChecks()
+    checks.ask("python")
+    wait_for(lambda: checks.warming("python"))
+    assert checks.known("python") == answer
+    go_on.set()
+    wait_for(lambda: not checks.warming("python"))
+    checks.ask("python")
+    wait_for(lambda: not checks.asking("python"))
+    assert warmed == ["python"]
+
+
+def wait_for(condition, seconds=10):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="shell scripts stand in for interpreters")
+def test_warming_up_says_what_went_wrong(tmp_path):
+    python = tmp_path / "python"
+    for script, words in (
+        ("exit 0", ""),
+        ("""echo '{"stage": "error", "error": "torch is broken."}'; exit 1""", "torch is broken."),
+        ("exit 7", f"'{python}' ended with exit code 7 while it prepared."),
+    ):
+        python.write_text(f"#!/bin/sh\n{script}\n")
+        python.chmod(0o755)
+        assert interpreter.warm_up(python) == words
+    assert "cannot be started" in interpreter.warm_up(tmp_path / "none")
 
 
 def make_environment(prefix: Path, *, torch: bool) -> Path:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gskin_addon.core.errors import Cancelled, InputError
+from gskin_addon.core.render import backends
 from gskin_addon.core.render.camera import paper_views
 from gskin_addon.core.render.rasterizer import render_cloud
 from gskin_addon.core.rig.kinematics import pose_transforms
@@ -174,3 +175,13 @@ def test_segments_reach_the_next_joint_where_tails_are_invented():
     np.testing.assert_allclose(segments.ends, limb.skeleton.tails)  # the leaf takes its parent's length
     honest = bone_segments(limb.skeleton)
     np.testing.assert_allclose(honest.ends, limb.skeleton.tails)
+
+
+def test_a_rasterizer_that_is_not_there_is_refused_before_any_work(tmp_path, monkeypatch):
+    limb = make_limb(300)
+    with pytest.raises(InputError, match="rasterizer is 'ray'; choose one of auto, cpu"):
+        run(limb.cloud, limb.skeleton, {"rasterizer": "ray"}, silent, tmp_path)
+    monkeypatch.setattr(backends, "cuda_device", lambda: "")
+    monkeypatch.delenv(backends.WARP_DEVICE, raising=False)
+    with pytest.raises(InputError, match="warp"):
+        run(limb.cloud, limb.skeleton, {"rasterizer": "warp"}, silent, tmp_path)
