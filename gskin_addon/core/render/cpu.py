@@ -1,19 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The CPU rasteriser: prepared scenes that run the numba kernels on a small thread pool.
-
-The kernels release the interpreter lock and share nothing, so plain Python threads carry them; numba's and
-torch's OpenMP pools, which fight each other for the cores, are not involved.
-"""
+"""The CPU rasteriser: prepared scenes that run the numba kernels on a small thread pool."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache, partial
+from functools import partial
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,6 +24,7 @@ from .cpu_project import (
     project,
     project_backward,
 )
+from .threads import row_ranges, run_tasks, spread, thread_count
 
 Array = NDArray[np.float32]
 ImageLoss = Callable[[Array, Array], tuple[float, Array]]
@@ -40,40 +34,6 @@ DILATION = 0.3
 """Pixels^2 added to every image covariance, as 3DGS does."""
 
 _NONE = np.zeros(0, np.float32)
-
-
-def thread_count() -> int:
-    """Threads that the rasteriser uses: NUMBA_NUM_THREADS if set, else the cores this process may run on."""
-    asked = os.environ.get("NUMBA_NUM_THREADS", "")
-    if asked.isdigit() and int(asked) > 0:
-        return int(asked)
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-@lru_cache(maxsize=1)
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(thread_count(), thread_name_prefix="gskin-render")
-
-
-def _run(tasks: Sequence[Callable[[], None]]) -> None:
-    """Run the tasks, in the pool when there is more than one; the first error is raised."""
-    if len(tasks) == 1:
-        tasks[0]()
-    else:
-        for future in [_pool().submit(task) for task in tasks]:
-            future.result()
-
-
-def _spread(kernel: Callable[..., None], ranges: Sequence[tuple[int, int]], *args: Any) -> None:
-    """Run kernel(lo, hi, *args) for every range (lo, hi)."""
-    _run([partial(kernel, lo, hi, *args) for lo, hi in ranges])
-
-
-def _ranges(count: int, parts: int) -> list[tuple[int, int]]:
-    cuts = np.linspace(0, count, max(parts, 1) + 1).astype(int)
-    return [(int(a), int(b)) for a, b in pairwise(cuts) if b > a]
 
 
 def _tile_ranges(tile_start: NDArray[np.int64], threads: int) -> list[tuple[int, int]]:
@@ -168,14 +128,14 @@ class CpuScene:
         ga = np.zeros((0, 0), np.float32) if grad_alpha is None else np.ascontiguousarray(grad_alpha, np.float32)
         f = frame
         sums = np.empty((len(f.owner), 6), np.float32)
-        _spread(
+        spread(
             backward_tiles, _tile_ranges(f.tile_start, f.threads), f.pixels, f.record, f.colors, f.tile_start, f.slots,
             f.owner, f.image, f.alpha, gi, ga, sums,
         )  # fmt: skip
         grad_means, grad_quats = np.empty_like(f.means), np.empty_like(f.quats)
-        _spread(
-            project_backward, _ranges(len(f.means), f.threads), f.means, f.quats, self.scales, f.camera, f.first_slot,
-            sums, grad_means, grad_quats,
+        spread(
+            project_backward, row_ranges(len(f.means), f.threads), f.means, f.quats, self.scales, f.camera,
+            f.first_slot, sums, grad_means, grad_quats,
         )  # fmt: skip
         return grad_means, grad_quats
 
@@ -213,22 +173,9 @@ class CpuScene:
 
         Returns values (P,), grad_means (P,N,3) and grad_quats (P,N,4).
         """
-        count = len(cameras)
-        values = np.zeros(count)
-        grad_means, grad_quats = np.empty(np.shape(means), np.float32), np.empty(np.shape(quats), np.float32)
-        alone = count >= thread_count()
-
-        def one(p: int) -> None:
-            values[p], grad_means[p], grad_quats[p] = self.render_and_grad(
-                means[p], quats[p], cameras[p], losses[p], background, threads=1 if alone else None
-            )
-
-        if alone:
-            _run([lambda p=p: one(p) for p in range(count)])  # type: ignore[misc]
-        else:
-            for p in range(count):
-                one(p)
-        return values, grad_means, grad_quats
+        scenes = [self] * len(cameras)
+        values, *grads = render_and_grad_each(scenes, list(means), list(quats), cameras, losses, background)
+        return values, np.stack(grads[0]), np.stack(grads[1])
 
     def contribution(self, means: ArrayLike, quats: ArrayLike, camera: Camera) -> Array:
         """Largest blending weight T alpha of each splat over the view's pixels, (N,); 0 if it is not seen."""
@@ -256,8 +203,8 @@ class CpuScene:
         vector = camera_vector(camera, self.dilation, self.compensate)
         pixels, record, depth = np.empty((n, 2)), np.empty((n, RECORD), np.float32), np.zeros(n, np.float32)
         rect, tiles = np.empty((n, 4), np.int32), np.empty(n, np.int32)
-        _spread(
-            project, _ranges(n, threads), m, q, self.scales, self.opacities, vector, width, height, pixels, record,
+        spread(
+            project, row_ranges(n, threads), m, q, self.scales, self.opacities, vector, width, height, pixels, record,
             depth, rect, tiles,
         )  # fmt: skip
         tile_start = np.empty(columns * ((height + TILE - 1) // TILE) + 1, np.int64)
@@ -270,12 +217,43 @@ class CpuScene:
         image, alpha = np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32)
         weight = np.zeros(len(owner), np.float32) if weights else _NONE
         back = np.ascontiguousarray(background, np.float32)
-        _spread(
+        spread(
             forward_tiles, _tile_ranges(tile_start, threads), pixels, record, c, back, tile_start, slots, owner, image,
             alpha, weight,
         )  # fmt: skip
         frame = Frame(image, alpha, m, q, c, vector, pixels, record, first_slot, tile_start, slots, owner, threads)
         return frame, weight
+
+
+def render_and_grad_each(
+    scenes: Sequence[CpuScene],
+    means: Sequence[Array],
+    quats: Sequence[Array],
+    cameras: Sequence[Camera],
+    losses: Sequence[ImageLoss],
+    background: ArrayLike = (1.0, 1.0, 1.0),
+) -> tuple[NDArray[np.float64], list[Array], list[Array]]:
+    """CpuScene.render_and_grad for P images, each of a scene of its own, one per thread.
+
+    Returns values (P,), and for each image the gradients to its means (N_p,3) and quats (N_p,4).
+    """
+    count = len(cameras)
+    values = np.zeros(count)
+    grads: list[tuple[Array, Array]] = [(_NONE, _NONE)] * count
+    alone = count >= thread_count()
+
+    def one(p: int) -> None:
+        value, grad_means, grad_quats = scenes[p].render_and_grad(
+            means[p], quats[p], cameras[p], losses[p], background, threads=1 if alone else None
+        )
+        values[p], grads[p] = value, (grad_means, grad_quats)
+
+    if alone:
+        run_tasks([partial(one, p) for p in range(count)])
+    else:
+        for p in range(count):
+            one(p)
+    return values, [g[0] for g in grads], [g[1] for g in grads]
 
 
 def check_splats(means: ArrayLike, quats: ArrayLike, colors: Array | None, count: int) -> tuple[Array, Array]:

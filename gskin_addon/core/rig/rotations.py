@@ -53,14 +53,15 @@ def closest_rotation(S, R):  # type: ignore[no-untyped-def]
     if norm < 1e-60:
         return
     K /= math.sqrt(norm)
-    K2 = K @ K
-    K3 = K2 @ K
-    p2 = K2[0, 0] + K2[1, 1] + K2[2, 2] + K2[3, 3]
-    p3 = K3[0, 0] + K3[1, 1] + K3[2, 2] + K3[3, 3]
-    p4 = 0.0
+    # Traces of K^2, K^3 and K^4 from the entries of the symmetric K^2; a library call for 4x4 costs more.
+    p2, p3, p4 = 0.0, 0.0, 0.0
     for i in range(4):
-        for j in range(4):
-            p4 += K2[i, j] * K2[j, i]
+        for j in range(i, 4):
+            square = K[i, 0] * K[0, j] + K[i, 1] * K[1, j] + K[i, 2] * K[2, j] + K[i, 3] * K[3, j]
+            twice = 1.0 if i == j else 2.0
+            p2 += square if i == j else 0.0
+            p3 += twice * square * K[i, j]
+            p4 += twice * square * square
     c2, c1, c0 = -p2 / 2, -p3 / 3, p2 * p2 / 8 - p4 / 4  # Newton's identities, trace K = 0
     value = math.sqrt(3.0)  # sum of S's singular values is at most sqrt(3) |S|
     for _ in range(40):

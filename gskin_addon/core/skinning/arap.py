@@ -6,36 +6,42 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
+from ..render.threads import row_ranges, spread
 from ..rig.rotations import closest_rotation
 
 
-@njit(cache=True, parallel=True)
-def _kernel(rest, posed, nodes, neighbours, losses, grad):  # type: ignore[no-untyped-def]
-    poses, K = posed.shape[0], neighbours.shape[1]
-    for p in prange(poses):
-        S, R = np.empty((3, 3)), np.empty((3, 3))
+@njit(cache=True, nogil=True)
+def _kernel(lo, hi, rest, posed, nodes, neighbours, losses, grad):  # type: ignore[no-untyped-def]
+    """Poses lo..hi; threads share poses, not nodes, so that each gradient has one writer and one order."""
+    K = neighbours.shape[1]
+    S, R = np.empty((3, 3)), np.empty((3, 3))
+    before, after = np.empty((K, 3)), np.empty((K, 3))
+    for p in range(lo, hi):
         total = 0.0
         for n in range(len(nodes)):
             j = nodes[n]
+            x0, x1, x2 = rest[j, 0], rest[j, 1], rest[j, 2]
+            y0, y1, y2 = posed[p, j, 0], posed[p, j, 1], posed[p, j, 2]
             S[:] = 0.0
             for e in range(K):
                 k = neighbours[n, e]
+                before[e, 0], before[e, 1], before[e, 2] = rest[k, 0] - x0, rest[k, 1] - x1, rest[k, 2] - x2
+                after[e, 0], after[e, 1], after[e, 2] = posed[p, k, 0] - y0, posed[p, k, 1] - y1, posed[p, k, 2] - y2
                 for a in range(3):
-                    d = posed[p, k, a] - posed[p, j, a]
                     for b in range(3):
-                        S[a, b] += d * (rest[k, b] - rest[j, b])
+                        S[a, b] += after[e, a] * before[e, b]
             closest_rotation(S, R)
-            for e in range(K):
-                k = neighbours[n, e]
-                x, y, z = rest[k, 0] - rest[j, 0], rest[k, 1] - rest[j, 1], rest[k, 2] - rest[j, 2]
-                for a in range(3):
-                    r = posed[p, k, a] - posed[p, j, a] - (R[a, 0] * x + R[a, 1] * y + R[a, 2] * z)
+            for a in range(3):
+                pull = 0.0
+                for e in range(K):
+                    r = after[e, a] - (R[a, 0] * before[e, 0] + R[a, 1] * before[e, 1] + R[a, 2] * before[e, 2])
                     total += r * r
-                    grad[p, k, a] += 2 * r
-                    grad[p, j, a] -= 2 * r
+                    pull += 2 * r
+                    grad[p, neighbours[n, e], a] += 2 * r
+                grad[p, j, a] -= pull
         losses[p] = total
 
 
@@ -60,7 +66,8 @@ def arap_loss(
     posed = np.ascontiguousarray(posed, np.float32)
     grad = np.zeros_like(posed)
     losses = np.zeros(len(posed))
-    _kernel(np.ascontiguousarray(rest, np.float32), posed, nodes, neighbours, losses, grad)
+    rest = np.ascontiguousarray(rest, np.float32)
+    spread(_kernel, row_ranges(len(posed)), rest, posed, nodes, neighbours, losses, grad)
     scale = 1.0 / (2.0 * neighbours.size * len(posed))
     grad *= np.float32(scale)
     return float(losses.sum() * scale), grad

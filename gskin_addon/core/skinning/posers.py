@@ -14,9 +14,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ..render.threads import thread_count
 from ..rig.anchoring import Anchors
 from ..rig.vertex_maps import mesh_neighbours, ring_coefficients
 from ..splats.cloud import SplatCloud
+from .pose_kernels import pose_splats_fused
 from .posing import pose_splats, quat_multiply
 
 NEIGHBOURS = 30  # the paper's K_1
@@ -46,16 +48,17 @@ class Poser(Protocol):
 class SplatPoser:
     """Vanilla splats: Eq. 1 and Eq. 3 on the splats themselves."""
 
-    def __init__(self, cloud: SplatCloud) -> None:
+    def __init__(self, cloud: SplatCloud, neighbours: int = NEIGHBOURS) -> None:
         from scipy.spatial import cKDTree
 
         self.nodes = cloud.means
-        count = min(NEIGHBOURS + 1, cloud.count)
-        self.neighbours = cKDTree(cloud.means).query(cloud.means, count)[1][:, 1:].astype(np.int64)
-        self._means, self._quats = torch.from_numpy(cloud.means), torch.from_numpy(cloud.quats)
+        count = min(neighbours + 1, cloud.count)
+        tree = cKDTree(cloud.means)
+        self.neighbours = tree.query(cloud.means, count, workers=thread_count())[1][:, 1:].astype(np.int64)
+        self._quats = cloud.quats
 
     def pose(self, weights: torch.Tensor, transforms: NDArray[Any]) -> Posed:
-        means, quats = pose_splats(self._means, self._quats, weights, transforms)
+        means, quats = pose_splats_fused(self.nodes, self._quats, weights, transforms)
         return Posed(means, quats, means)
 
 
@@ -68,10 +71,17 @@ class AnchoredPoser:
     keep their scales; results are posed with it.
     """
 
-    def __init__(self, cloud: SplatCloud, anchors: Anchors, verts: NDArray[Any], faces: NDArray[Any]) -> None:
+    def __init__(
+        self,
+        cloud: SplatCloud,
+        anchors: Anchors,
+        verts: NDArray[Any],
+        faces: NDArray[Any],
+        neighbours: int = NEIGHBOURS,
+    ) -> None:
         """cloud: N splats; anchors: where they hang on the mesh verts (V, 3), faces (F, 3)."""
         self.nodes = np.asarray(verts, np.float32)
-        self.neighbours = mesh_neighbours(len(verts), faces, NEIGHBOURS)
+        self.neighbours = mesh_neighbours(len(verts), faces, neighbours)
         self._quats = torch.from_numpy(cloud.quats)
         self._verts = torch.from_numpy(self.nodes)
         self._corners = _Rows(faces.ravel(), len(verts))

@@ -16,6 +16,8 @@ class Preset:
     stages: (image size in pixels, iterations), coarse to fine; batch: images per iteration.
     poses_per_view: guidance images for each of the four views of the paper.
     field: a name in WEIGHT_FIELDS; learning_rate: of its logits.
+    held_out: further images per view that learning never sees; the loss on them is taken about every tenth of the
+    run, the best weights are kept, and `patience` checks without progress end the run (0: never).
     """
 
     description: str
@@ -24,6 +26,8 @@ class Preset:
     batch: int
     learning_rate: float = 0.1
     field: str = DEFAULT_FIELD
+    held_out: int = 2
+    patience: int = 3
 
     @property
     def iterations(self) -> int:
@@ -32,7 +36,7 @@ class Preset:
 
 
 PRESETS: dict[str, Preset] = {
-    "draft": Preset("A first look in well under a minute", 12, ((256, 60), (512, 40)), 4),
+    "draft": Preset("A first look in well under a minute", 12, ((256, 60), (512, 40)), 4, held_out=0),
     "standard": Preset("The default: good weights in a minute or two", 24, ((256, 80), (512, 120)), 4),
     "high": Preset("More poses and longer learning", 50, ((256, 100), (512, 400)), 6),
     "paper": Preset("The schedule of the G-Skin paper: 500 iterations of 20 images", 50, ((512, 500),), 20),

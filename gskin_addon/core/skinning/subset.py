@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Large clouds: learn on a part of the splats, then give the rest what their neighbours learned."""
+"""Large clouds: learn on a part of the splats, then ask the field about the rest."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +16,14 @@ from .fields.base import LOG_FLOOR
 
 LIMIT = 150_000
 NEIGHBOURS = 4
-_CHUNK = 250_000
+HIDDEN = 0.25
+"""How much a splat that no view sees at rest counts for: poses may bring it to light."""
+LARGEST = 3.0
+"""Most that a splat is enlarged to stand for the ones left out."""
+_CHUNK = 50_000
+
+Query = Callable[[NDArray[Any]], tuple[NDArray[np.float32], NDArray[np.bool_]] | None]
+"""See `WeightField.query`."""
 
 
 @dataclass(frozen=True)
@@ -30,11 +39,13 @@ class SplatSubset:
         learned: NDArray[np.float32],
         initial: NDArray[np.float32],
         initial_whole: NDArray[np.float32],
+        query: Query | None = None,
     ) -> NDArray[np.float32]:
         """Weights (N, B) of all splats from those of the subset (M, B).
 
-        What was learned is a change of logits that varies smoothly in space, so every other splat adds the
-        mean change of its nearest learned neighbours to the logits of its own initial weights.
+        What was learned is a change of logits that varies smoothly in space. Every other splat adds the change
+        that the field has at its place to the logits of its own initial weights; where the field knows nothing,
+        the mean change of its nearest learned neighbours.
         """
         out = np.empty_like(initial_whole)
         out[self.index] = learned
@@ -42,17 +53,27 @@ class SplatSubset:
             return out
         from scipy.spatial import cKDTree
 
-        change = np.log(np.maximum(learned, 1e-8)) - np.log(np.maximum(initial, LOG_FLOOR))
+        rest = np.ones(self.whole.count, bool)
+        rest[self.index] = False
+        others = np.flatnonzero(rest)
         tree = cKDTree(self.cloud.means)
-        rest = np.setdiff1d(np.arange(self.whole.count), self.index)
-        for first in range(0, len(rest), _CHUNK):
-            part = rest[first : first + _CHUNK]
-            distance, near = tree.query(self.whole.means[part], NEIGHBOURS)
+        for first in range(0, len(others), _CHUNK):
+            part = others[first : first + _CHUNK]
+            points = self.whole.means[part]
+            found = None if query is None else query(points)
+            if found is None:
+                found = np.zeros((len(part), out.shape[1]), np.float32), np.zeros(len(part), bool)
+            change, known = found
+            lost = np.flatnonzero(~known)
+            distance, near = tree.query(points[lost], NEIGHBOURS)
             share = 1.0 / np.maximum(distance, 1e-9)
             share = (share / share.sum(1, keepdims=True)).astype(np.float32)
-            logits = np.log(np.maximum(initial_whole[part], LOG_FLOOR))
+            change[lost] = 0.0
             for k in range(NEIGHBOURS):
-                logits += share[:, k : k + 1] * change[near[:, k]]
+                at = near[:, k]
+                step = np.log(np.maximum(learned[at], 1e-8)) - np.log(np.maximum(initial[at], LOG_FLOOR))
+                change[lost] += share[:, k : k + 1] * step
+            logits = np.log(np.maximum(initial_whole[part], LOG_FLOOR)) + change
             logits -= logits.max(axis=1, keepdims=True)
             weights = np.exp(logits)
             out[part] = weights / weights.sum(axis=1, keepdims=True)
@@ -62,32 +83,58 @@ class SplatSubset:
 def follow_nearest(
     means: NDArray[np.float32], weights: NDArray[np.float32], ignored: NDArray[np.bool_]
 ) -> NDArray[np.float32]:
-    """Weights (N, B) in which the `ignored` splats (N,) move as the nearest of the others does."""
+    """Weights (N, B) in which the `ignored` splats (N,) move as the nearest of the others does; changed in place."""
     if not ignored.any():
         return weights
     from scipy.spatial import cKDTree
 
     others = np.flatnonzero(~ignored)
     near = others[cKDTree(means[others]).query(means[ignored])[1]]
-    out = weights.copy()
-    out[ignored] = weights[near]
-    return out
+    weights[ignored] = weights[near]
+    return weights
 
 
 def choose_subset(
-    cloud: SplatCloud, seed: int, limit: int | None = None, *, ignored: NDArray[np.bool_] | None = None
+    cloud: SplatCloud,
+    seed: int,
+    limit: int | None = None,
+    *,
+    ignored: NDArray[np.bool_] | None = None,
+    seen: Callable[[], NDArray[Any]] | None = None,
 ) -> SplatSubset:
-    """All splats but the `ignored` (N,), or a random `limit` (`LIMIT`) of them, enlarged so that they still
-    cover the surface.
+    """All splats but the `ignored` (N,), or about `limit` (`LIMIT`) of them that stand for the rest.
 
-    They come along a Morton curve: what is near in space is near in memory, which the kernels like.
+    A splat is taken with a probability by the root of its opacity times its area, and less if `seen` (called
+    where needed; (N,) True for those that show in some view) says that it is hidden. It is enlarged by the root of
+    1 / probability, so that the surface stays as covered as it was. They are drawn at even steps along a
+    Morton curve, which spreads them, and come in its order: what is near in space is near in memory, which the
+    kernels like.
     """
     limit = LIMIT if limit is None else limit
     index = np.arange(cloud.count) if ignored is None else np.flatnonzero(~ignored)
-    grow = 1.0
-    if len(index) > limit:
-        grow = np.sqrt(len(index) / limit)
-        index = np.random.default_rng(seed).choice(index, limit, replace=False)
     index = index[morton_order(cloud.means[index])]
-    part = cloud.select(index)
-    return SplatSubset(index, replace(part, scales=part.scales * np.float32(grow)), cloud)
+    if len(index) <= limit:
+        return SplatSubset(index, cloud.select(index), cloud)
+    ordered = np.sort(cloud.scales[index].astype(np.float64), axis=1)
+    value = np.sqrt(ordered[:, 1] * ordered[:, 2] * cloud.opacities[index]) + 1e-12
+    if seen is not None:
+        value *= np.where(np.asarray(seen())[index], 1.0, HIDDEN)
+    chance = inclusion(value, limit)
+    ends = np.cumsum(chance)
+    steps = np.random.default_rng(seed).random() + np.arange(int(ends[-1] + 0.5))
+    taken = np.unique(np.searchsorted(ends, steps[steps < ends[-1]], side="right"))
+    part = cloud.select(index[taken])
+    grow = np.minimum(1.0 / np.sqrt(chance[taken]), LARGEST).astype(np.float32)
+    return SplatSubset(index[taken], replace(part, scales=part.scales * grow[:, None], stored={}), cloud)
+
+
+def inclusion(value: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+    """Probabilities (N,) in proportion to `value` (N,), none above 1, with the sum `count` < N."""
+    certain = np.zeros(len(value), bool)
+    while True:
+        rest = count - certain.sum()
+        chance = np.where(certain, 1.0, value * (rest / value[~certain].sum()))
+        over = chance > 1.0
+        if not over.any():
+            return chance
+        certain |= over

@@ -3,45 +3,44 @@
 
 from __future__ import annotations
 
-import os
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from ..guidance import create_provider
-from ..guidance.control import ControlSignal, make_signals
-from ..guidance.provider import GuidanceContext
+from ..guidance.control import make_signals
+from ..guidance.provider import GuidanceContext, to_bytes
 from ..render.backends import choose_backend
-from ..render.camera import paper_views, percentile_bounds
-from ..render.rasterizer import render_cloud
+from ..render.camera import PAPER_AZIMUTHS, Camera, paper_views, percentile_bounds
+from ..render.rasterizer import prepare, render_cloud, view_colors
 from ..rig.lbs import sparsify
 from ..rig.skeleton import Skeleton
+from ..skinning import subset as subsets
 from ..skinning.extent import unit_frame
 from ..skinning.fields import create_field
 from ..skinning.geodesic import body_distances
 from ..skinning.initial import initial_weights
-from ..skinning.optimise import LossWeights, Optimiser, Target
+from ..skinning.losses import LossWeights
+from ..skinning.optimise import Optimiser
+from ..skinning.posers import Poser, SplatPoser
 from ..skinning.presets import preset_by_name
 from ..skinning.subset import choose_subset, follow_nearest
+from ..skinning.views import SEEN, Target
 from ..splats.cloud import SplatCloud
 from ..splats.hygiene import Hygiene
+from .course import Course
+from .learning import make_guidance, optimise, try_out, work
 from .previews import preview_images
 from .progress import Progress
 from .proxy import Proxy
 from .settings import FRONTS, PRESET_FIELD, JobSettings
 
 GUIDANCE_SIZE = 512
-CHECKPOINT_SECONDS = 5.0
-# The weight volume's state has 450 MB: writing it may take this part of the time.
-CHECKPOINT_SHARE = 0.1
-# Shares of the whole run, for the progress bar: measured at 50,000 splats and 20 bones.
-INITIAL_END, GUIDANCE_END, OPTIMISE_END = 0.08, 0.2, 0.98
 
 
 @dataclass(frozen=True)
@@ -74,20 +73,25 @@ def run(
     """
     chosen = JobSettings.parse(settings)
     preset = preset_by_name(chosen.preset)
+    losses = LossWeights.parse(chosen.losses)
     field_name = preset.field if chosen.field == PRESET_FIELD else chosen.field
-    clock = _Clock()
+    views = len(PAPER_AZIMUTHS)
+    course = Course(progress, work(preset, views, min(cloud.count, subsets.LIMIT), skeleton.count))
     rasterizer, remark = choose_backend(chosen.rasterizer)
-    progress("initial", 0.0, {}, remark or "Preparing the splats")
-    whole, skeleton = _to_unit_size(cloud, skeleton)
+    course.say("initial", remark or "Preparing the splats")
+    whole, skeleton = to_unit_size(cloud, skeleton)
     hygiene = Hygiene.parse(chosen.hygiene)
     ignored, bad_counts = hygiene.find(whole)
     shaped, needle_counts = hygiene.shape(whole)
-    subset = choose_subset(shaped, chosen.seed, ignored=ignored)
-    proxy = Proxy.load(checkpoint.parent / chosen.mesh, cloud) if chosen.mesh else None
     cameras = paper_views(*percentile_bounds(whole.means), GUIDANCE_SIZE, front=FRONTS[chosen.front])
+    subset = choose_subset(shaped, chosen.seed, ignored=ignored, seen=partial(_seen_at_rest, shaped, cameras))
+    del shaped
+    proxy = Proxy.load(checkpoint.parent / chosen.mesh, cloud) if chosen.mesh else None
+    course.did("initial")
 
-    progress("initial", 0.01, {}, "Initial weights")
-    masks = np.stack([render_cloud(subset.cloud, camera)[1] > 0.5 for camera in cameras])
+    course.say("initial", "Initial weights")
+    rest_pictures = [render_cloud(subset.cloud, camera) for camera in cameras]
+    masks = np.stack([alpha > 0.5 for _, alpha in rest_pictures])
     if proxy is None:
         nodes, initial_whole = None, initial_weights(
             chosen.init, whole, skeleton, masks, cameras, chosen.init_options
@@ -98,11 +102,19 @@ def run(
         )
         initial_whole = proxy.spread(nodes)
     initial = initial_whole[subset.index]
-    progress("initial", 0.04, {}, "Distances through the body")
+    course.did("initial")
+    course.say("initial", "Distances through the body")
     distances = body_distances(subset.cloud, skeleton)
-    clock.lap("initial")
+    course.did("initial")
+    course.end_stage("initial")
 
-    progress("guidance", INITIAL_END, {}, "Guidance images")
+    course.say("guidance", "Guidance images")
+    if proxy is None or nodes is None:
+        poser: Poser = SplatPoser(subset.cloud, losses.arap_neighbours)
+        field = create_field(field_name, subset.cloud.means, initial, chosen.field_options)
+    else:
+        poser = proxy.poser(subset, losses.arap_neighbours)
+        field = create_field(field_name, proxy.verts, nodes, chosen.field_options)
     context = GuidanceContext(
         subset.cloud,
         skeleton,
@@ -112,42 +124,47 @@ def run(
         options=chosen.options,
         seed=chosen.seed,
         checkpoint=checkpoint,
-        tick=lambda done, message: progress("guidance", _guidance_part(done), {}, message),
+        tick=lambda done, message: course.say("guidance", message),
     )
     rng = np.random.default_rng(chosen.seed)
     signals = make_signals(skeleton, cameras, preset.poses_per_view, rng)
-    targets = _make_guidance(create_provider(chosen.guidance, context), signals, progress)
-    clock.lap("guidance")
-
-    if proxy is None or nodes is None:
-        poser, field = None, create_field(field_name, subset.cloud.means, initial, chosen.field_options)
-    else:
-        poser, field = proxy.poser(subset), create_field(field_name, proxy.verts, nodes, chosen.field_options)
-    optimiser = Optimiser(
+    # Poses of their own, from their own seed: the others stay the same whatever is held out.
+    unseen = make_signals(skeleton, cameras, preset.held_out, np.random.default_rng([chosen.seed, 1]))
+    begin = partial(
+        Optimiser,
         subset.cloud,
         skeleton,
         field,
-        targets,
-        preset,
         poser=poser,
-        losses=LossWeights(),
+        losses=losses,
         seed=chosen.seed,
         rasterizer=rasterizer,
     )
-    losses = _optimise(optimiser, preset.iterations, progress, checkpoint)
-    clock.lap("optimise")
+    at_rest = [
+        Target(s.camera, s.transforms, to_bytes(rest_pictures[s.view][0])) for s in signals[:: preset.poses_per_view]
+    ]
+    try_out(begin(at_rest, preset), course)
+    course.end_stage("prepare")
+    targets = make_guidance(create_provider(chosen.guidance, context), [*signals, *unseen], course)
+    del context, distances, rest_pictures
+    course.end_stage("guidance")
 
-    progress("finish", OPTIMISE_END, {}, "Weights of all splats")
+    optimiser = begin(targets[: len(signals)], preset, held_out=targets[len(signals) :])
+    history = optimise(optimiser, course, checkpoint)
+    course.end_stage("optimise")
+
+    course.say("finish", "Weights of all splats")
     learned, mesh_weights = optimiser.weights(), None
     if proxy is None:
-        weights = follow_nearest(whole.means, subset.spread(learned, initial, initial_whole), ignored)
+        spread = subset.spread(learned, initial, initial_whole, field.query)
+        weights = follow_nearest(whole.means, spread, ignored)
     else:
         weights, mesh_weights = proxy.spread(learned), learned
     if chosen.max_influences:
         weights = sparsify(weights, chosen.max_influences)
         mesh_weights = None if mesh_weights is None else sparsify(mesh_weights, chosen.max_influences)
     previews = preview_images(whole, initial_whole, weights, cameras, signals, targets)
-    clock.lap("finish")
+    course.end_stage("finish")
     report = {
         "settings": chosen.as_dict(),
         "field": field_name,
@@ -156,11 +173,13 @@ def run(
         "splats_optimised": subset.cloud.count,
         "hygiene": {**bad_counts, **needle_counts},
         "bones": skeleton.count,
-        "guidance_images": len(targets),
+        "guidance_images": len(signals),
         "iterations": optimiser.iteration,
-        "losses": losses,
-        "seconds": clock.laps,
-        "mean_weight_change": float(np.abs(weights - initial_whole).sum(axis=1).mean() / 2),
+        "stopped": optimiser.stop.reason or "the schedule is done",
+        "held_out": [{"iteration": at, "render": loss} for at, loss in optimiser.stop.history],
+        "losses": history,
+        "seconds": course.seconds,
+        "mean_weight_change": _mean_change(weights, initial_whole),
         "bones_without_splats": [
             name for name, most in zip(skeleton.names, weights.max(axis=0), strict=True) if most < 0.01
         ],
@@ -170,20 +189,7 @@ def run(
     return Outcome(weights, report, previews, mesh_weights)
 
 
-class _Clock:
-    """Wall seconds by stage."""
-
-    def __init__(self) -> None:
-        self._last = time.monotonic()
-        self.laps: dict[str, float] = {}
-
-    def lap(self, stage: str) -> None:
-        now = time.monotonic()
-        self.laps[stage] = round(now - self._last, 2)
-        self._last = now
-
-
-def _to_unit_size(cloud: SplatCloud, skeleton: Skeleton) -> tuple[SplatCloud, Skeleton]:
+def to_unit_size(cloud: SplatCloud, skeleton: Skeleton) -> tuple[SplatCloud, Skeleton]:
     """Both moved and scaled so that the object's bounding box has the diagonal 1 and its centre at 0."""
     centre, diagonal = unit_frame(cloud.means)
     moved = replace(
@@ -195,49 +201,19 @@ def _to_unit_size(cloud: SplatCloud, skeleton: Skeleton) -> tuple[SplatCloud, Sk
     return moved, skeleton.moved(np.eye(3), 1.0 / diagonal, -centre / diagonal)
 
 
-def _guidance_part(done: float) -> float:
-    """The part of the whole run that is done when `done` (0 to 1) of the guidance is."""
-    return INITIAL_END + (GUIDANCE_END - INITIAL_END) * done
+def _seen_at_rest(cloud: SplatCloud, cameras: Sequence[Camera]) -> NDArray[np.bool_]:
+    """Splats (N,) that show in some view."""
+    seen = np.zeros(cloud.count, bool)
+    for camera in cameras:
+        scene = prepare(cloud.scales, view_colors(cloud, camera), cloud.opacities)
+        seen |= scene.contribution(cloud.means, cloud.quats, camera) > SEEN
+    return seen
 
 
-def _make_guidance(provider: Any, signals: Sequence[ControlSignal], progress: Progress) -> list[Target]:
-    targets = []
-    images = provider.images(signals)
-    for number, signal in enumerate(signals):
-        done = number / len(signals)
-        progress("guidance", _guidance_part(done), {}, f"Guidance image {number + 1} of {len(signals)}")
-        targets.append(Target(signal.camera, signal.transforms, next(images)))
-    return targets
-
-
-def _optimise(
-    optimiser: Optimiser, iterations: int, progress: Progress, checkpoint: Path
-) -> list[dict[str, float]]:
-    """Run to the end, from the checkpoint where there is one; the losses of about 50 iterations."""
-    path = checkpoint / "optimiser.pt"
-    history: list[dict[str, float]] = []
-    if path.is_file():
-        state = torch.load(path, weights_only=False)  # our own file, in the job's own folder
-        optimiser.restore(state["optimiser"])
-        history = state["history"]
-    saved, cost = time.monotonic(), 0.0
-    every = max(1, iterations // 50)
-    while optimiser.iteration < iterations:
-        number = optimiser.iteration
-        parts = optimiser.step()
-        if number % every == 0 or number == iterations - 1:
-            history.append({"iteration": number, **parts})
-        done = GUIDANCE_END + (OPTIMISE_END - GUIDANCE_END) * optimiser.iteration / iterations
-        progress("optimise", done, parts, f"Iteration {number + 1} of {iterations}")
-        begun = time.monotonic()
-        if begun - saved > CHECKPOINT_SECONDS + cost / CHECKPOINT_SHARE:
-            _save({"optimiser": optimiser.state(), "history": history}, path)
-            saved = time.monotonic()
-            cost = saved - begun
-    return history
-
-
-def _save(state: dict[str, Any], path: Path) -> None:
-    temporary = path.with_suffix(".tmp")
-    torch.save(state, temporary)
-    os.replace(temporary, path)
+def _mean_change(weights: NDArray[np.float32], initial: NDArray[np.float32]) -> float:
+    """Half the mean L1 distance of the rows, by parts: copies of large clouds' weights are large."""
+    total = 0.0
+    for first in range(0, len(weights), 50_000):
+        part = slice(first, first + 50_000)
+        total += float(np.abs(weights[part] - initial[part]).sum(dtype=np.float64))
+    return total / 2 / max(len(weights), 1)

@@ -66,15 +66,24 @@ class Progress:
         self._started = clock()
 
     def __call__(
-        self, stage: str, fraction: float, losses: Mapping[str, float] | None = None, message: str = ""
+        self,
+        stage: str,
+        fraction: float,
+        losses: Mapping[str, float] | None = None,
+        message: str = "",
+        seconds_left: float | None = None,
     ) -> None:
-        """`fraction` (0 to 1) of the whole job, never falling; `losses` by name; `message` for a person."""
+        """`fraction` (0 to 1) of the whole job, never falling; `losses` by name; `message` for a person.
+
+        `seconds_left` where the caller knows better than the rate of the fractions tells.
+        """
         if self._cancelled.is_set():
             raise Cancelled("The job was cancelled.")
         now = self._clock()
         if math.isfinite(fraction):
             self._fraction = max(self._fraction, min(1.0, float(fraction)))
-        seconds_left = self._remaining.update(now, self._fraction)
+        from_rate = self._remaining.update(now, self._fraction)
+        seconds_left = from_rate if seconds_left is None or not math.isfinite(seconds_left) else seconds_left
         if self._last is not None and self._last[0] == stage and now - self._last[1] < self.INTERVAL:
             return
         self._last = (stage, now)

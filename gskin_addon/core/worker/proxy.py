@@ -17,7 +17,7 @@ from ..rig.mesh_weights import splat_weights
 from ..rig.skeleton import Skeleton
 from ..skinning.extent import unit_frame
 from ..skinning.initial import initial_weights
-from ..skinning.posers import AnchoredPoser
+from ..skinning.posers import NEIGHBOURS, AnchoredPoser
 from ..skinning.subset import SplatSubset
 from ..splats.cloud import SplatCloud
 from .mesh_files import read_mesh
@@ -80,9 +80,9 @@ class Proxy:
         spread = splat_weights(self.anchors, weights, self.faces)
         return spread / spread.sum(axis=1, keepdims=True)
 
-    def poser(self, subset: SplatSubset) -> AnchoredPoser:
-        """What moves the splats that are optimised."""
-        return AnchoredPoser(subset.cloud, self.anchors.select(subset.index), self.verts, self.faces)
+    def poser(self, subset: SplatSubset, neighbours: int = NEIGHBOURS) -> AnchoredPoser:
+        """What moves the splats that are optimised; neighbours: of each vertex, for ARAP."""
+        return AnchoredPoser(subset.cloud, self.anchors.select(subset.index), self.verts, self.faces, neighbours)
 
     def summary(self) -> dict[str, float]:
         """Numbers for the report; distances in parts of the object's size."""

@@ -15,6 +15,7 @@ from ..render.backends import AUTO, BACKENDS
 from ..skinning.fields import WEIGHT_FIELDS
 from ..skinning.initial import DEFAULT_INITIAL, INITIAL_WEIGHTS
 from ..skinning.initial import check_options as check_initial_options
+from ..skinning.losses import LossWeights
 from ..skinning.presets import DEFAULT_PRESET, PRESETS
 from ..splats.hygiene import Hygiene
 
@@ -39,8 +40,8 @@ class JobSettings:
     init_options: those of the initial weights, {"model": path} for learned ones;
     field: a name in WEIGHT_FIELDS or PRESET_FIELD; field_options: the weight field's own; mesh: file of a
     proxy mesh in the same world space, whose vertices get the weights and carry the splats, a path or a name in
-    the job's folder; empty for none; hygiene: what to do about bad splats, see `Hygiene`; rasterizer: a name in
-    BACKENDS, or "auto" for the fastest that works here.
+    the job's folder; empty for none; hygiene: what to do about bad splats, see `Hygiene`; losses: factors of the
+    loss, see `LossWeights`; rasterizer: a name in BACKENDS, or "auto" for the fastest that works here.
     """
 
     preset: str = DEFAULT_PRESET
@@ -55,6 +56,7 @@ class JobSettings:
     field_options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     mesh: str = ""
     hygiene: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    losses: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     rasterizer: str = AUTO
 
     @classmethod
@@ -89,6 +91,7 @@ class JobSettings:
             raise InputError(f"The job's mesh is {settings.mesh!r}; it must be the path of a mesh file.")
         Hygiene.parse(settings.hygiene)
         check_options(settings.guidance, settings.options)
+        LossWeights.parse(settings.losses)
         for name in ("max_influences", "seed"):
             value = getattr(settings, name)
             if isinstance(value, bool) or not isinstance(value, int) or value < 0:

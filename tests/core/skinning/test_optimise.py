@@ -10,7 +10,9 @@ from gskin_addon.core.guidance.control import make_signals
 from gskin_addon.core.guidance.oracle import Oracle
 from gskin_addon.core.guidance.provider import GuidanceContext
 from gskin_addon.core.render.camera import paper_views
+from gskin_addon.core.skinning import optimise
 from gskin_addon.core.skinning.fields.pyramid import SparsePyramid
+from gskin_addon.core.skinning.losses import LossWeights
 from gskin_addon.core.skinning.optimise import Optimiser, Target
 from gskin_addon.core.skinning.presets import PRESETS
 from tests.helpers.limb import make_limb
@@ -32,10 +34,10 @@ def task():
     return limb, start, targets
 
 
-def make(task, seed=0):
+def make(task, seed=0, preset=PRESET, **options):
     limb, start, targets = task
     field = SparsePyramid(limb.cloud.means, start)
-    return Optimiser(limb.cloud, limb.skeleton, field, targets, PRESET, seed=seed)
+    return Optimiser(limb.cloud, limb.skeleton, field, targets, preset, seed=seed, **options)
 
 
 def error(limb, weights):
@@ -77,3 +79,51 @@ def test_restored_run_ends_where_the_unbroken_one_does(task):
     for _ in range(5):
         resumed.step()
     np.testing.assert_array_equal(resumed.weights(), whole.weights())
+
+
+def test_restored_run_with_pruning_and_held_out_poses(task, monkeypatch):
+    monkeypatch.setattr(optimise, "PRUNE_FROM", 0)
+    preset = replace(PRESET, stages=((64, 4), (128, 12)), batch=8)
+    held = {"preset": preset, "held_out": task[2][::6]}
+
+    def go(optimiser, until):
+        while optimiser.iteration < until:
+            optimiser.step()
+            if optimiser.iteration % 2 == 0:
+                optimiser.check()
+
+    whole = make(task, **held)
+    assert whole.looks == {0, 4}  # 24 images in batches of 8: 12 iterations are 4 epochs
+    go(whole, 14)
+    broken = make(task, **held)
+    go(broken, 7)
+    resumed = make(task, **held)
+    resumed.restore(broken.state())
+    go(resumed, 14)
+    np.testing.assert_array_equal(resumed.weights(), whole.weights())
+    assert resumed.stop.history == whole.stop.history
+    whole.use_best()
+    resumed.use_best()
+    np.testing.assert_array_equal(resumed.weights(), whole.weights())
+    assert whole.check() == pytest.approx(whole.stop.best, rel=1e-6)
+
+
+def test_trying_out_changes_nothing(task):
+    plain, tried = make(task), make(task)
+    tried.try_out(64)
+    tried.try_out(128)
+    for optimiser in (plain, tried):
+        for _ in range(3):
+            optimiser.step()
+    np.testing.assert_array_equal(plain.weights(), tried.weights())
+
+
+def test_a_strong_anchor_keeps_the_initial_weights(task):
+    start = task[1]
+    held = make(task, losses=LossWeights(anchor=10.0))
+    free = make(task)
+    for _ in range(20):
+        held.step()
+        free.step()
+    moved = [np.abs(o.weights() - start).sum(1).mean() for o in (held, free)]
+    assert moved[0] < 0.25 * moved[1]

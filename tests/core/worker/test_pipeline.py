@@ -16,7 +16,7 @@ from gskin_addon.core.rig.poses import random_poses
 from gskin_addon.core.rig.segments import bone_segments
 from gskin_addon.core.skinning import presets, subset
 from gskin_addon.core.skinning.initial import initial_weights
-from gskin_addon.core.worker import pipeline
+from gskin_addon.core.worker import learning, pipeline
 from gskin_addon.core.worker.pipeline import run
 from tests.helpers.limb import make_limb
 
@@ -79,14 +79,14 @@ def test_result_does_not_depend_on_place_and_unit(tmp_path):
 
 
 def test_a_stopped_run_goes_on_and_ends_the_same(tmp_path, monkeypatch):
-    monkeypatch.setattr(pipeline, "CHECKPOINT_SECONDS", 0.0)
-    monkeypatch.setattr(pipeline, "CHECKPOINT_SHARE", np.inf)
+    monkeypatch.setattr(learning, "CHECKPOINT_SECONDS", 0.0)
+    monkeypatch.setattr(learning, "CHECKPOINT_SHARE", np.inf)
     limb = make_limb(800)
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
     whole = run(limb.cloud, limb.skeleton, {"preset": "draft"}, silent, tmp_path / "a")
 
-    def stop(stage, fraction, losses, message):
+    def stop(stage, fraction, losses, message, left):
         if message.startswith("Iteration 9 "):
             raise Cancelled("stop")
 
@@ -94,12 +94,12 @@ def test_a_stopped_run_goes_on_and_ends_the_same(tmp_path, monkeypatch):
         run(limb.cloud, limb.skeleton, {"preset": "draft"}, stop, tmp_path / "b")
     iterations = []
 
-    def watch(stage, fraction, losses, message):
+    def watch(stage, fraction, losses, message, left):
         if stage == "optimise":
             iterations.append(message)
 
     resumed = run(limb.cloud, limb.skeleton, {"preset": "draft"}, watch, tmp_path / "b")
-    assert iterations[0].startswith("Iteration 9 ")
+    assert iterations[0].startswith("Iteration 10 ")
     np.testing.assert_array_equal(resumed.weights, whole.weights)
 
 
@@ -155,6 +155,10 @@ def test_influences_are_limited(tmp_path):
         ({"field": "grid"}, "field is 'grid'"),
         ({"field_options": {"size": 3}}, "no option size"),
         ({"hygiene": {"strays": True}}, "no option strays"),
+        ({"losses": {"arp": 1}}, "no option arp"),
+        ({"losses": {"arap": -1}}, "arap is -1; use a number from 0"),
+        ({"losses": {"arap_neighbours": 2.5}}, "arap_neighbours is 2.5; use a whole number"),
+        ({"losses": {"dssim": 1.5}}, "dssim is 1.5"),
     ],
 )
 def test_bad_settings_are_named(tmp_path, settings, words):

@@ -6,14 +6,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from ...errors import InputError
 from .base import WeightField
-from .sparse import SparseProduct, trilinear_matrix, unit_cube
+from .sparse import Cube, SparseProduct, corners_and_weights, flat_key, trilinear_matrix
 
 PYRAMID = (8, 16, 32, 64)
+STORED = 0.5
+"""Trilinear weight of the stored corners from which on they speak for a point."""
 
 
 class SparsePyramid(WeightField):
@@ -30,15 +33,36 @@ class SparsePyramid(WeightField):
         from scipy import sparse
 
         super().__init__(initial)
-        unit = unit_cube(points)
-        matrix = sparse.hstack([trilinear_matrix(unit, size)[0] for size in resolutions], format="csr")
+        self._cube = Cube.around(points)
+        unit = self._cube.unit(points)
+        parts = [trilinear_matrix(unit, size) for size in resolutions]
+        matrix = sparse.hstack([part for part, _ in parts], format="csr")
         self._interpolate = SparseProduct(matrix)
+        self._levels = [(size, flat_key(at, size)) for size, (_, at) in zip(resolutions, parts, strict=True)]
         self.theta = torch.nn.Parameter(torch.zeros(matrix.shape[1], initial.shape[1]))
 
     def residual(self) -> torch.Tensor:
         """Logits (N, B) read from the grids."""
         logits: torch.Tensor = self._interpolate(self.theta)
         return logits
+
+    def query(self, points: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Learned logits (M, B) at points (M, 3), known (M,) where most of each grid's corners around are stored."""
+        unit = self._cube.unit(points)
+        theta = self.theta.detach().numpy()
+        logits, known = np.zeros((len(points), theta.shape[1]), np.float32), np.ones(len(points), bool)
+        first = 0
+        for size, keys in self._levels:
+            key, value = corners_and_weights(unit, size)
+            place = np.minimum(np.searchsorted(keys, key), len(keys) - 1)
+            value = np.where(keys[place] == key, value, 0.0)
+            stored = value.sum(axis=1)
+            known &= stored >= STORED
+            share = (value / np.maximum(stored, 1e-9)[:, None]).astype(np.float32)
+            for corner in range(8):
+                logits += share[:, corner, None] * theta[first + place[:, corner]]
+            first += len(keys)
+        return logits, known
 
 
 def create(points: NDArray[Any], initial: NDArray[Any], resolutions: Sequence[int] = PYRAMID) -> SparsePyramid:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -59,18 +60,42 @@ def _sum_rows(
     )
 
 
-def unit_cube(points: NDArray[Any]) -> NDArray[np.float64]:
-    """Points (N, 3) in a cube [0, 1]^3 with the side of their longest extent.
+@dataclass(frozen=True)
+class Cube:
+    """A cube around points: middle (3,), side in their unit."""
 
-    The paper puts the lowest corner of the bounding box into the lowest corner of the cube, which leaves all
-    room of the short axes on one side; here the box is centred. Strays must not stretch the cube: it spans
-    the 0.1 to 99.9 percentiles, and what lies outside is clamped to its sides.
-    """
-    points = np.asarray(points, np.float64)
-    lower, upper = np.percentile(points, [0.1, 99.9], axis=0)
-    side = max(float((upper - lower).max()), 1e-12) * 1.02
-    unit: NDArray[np.float64] = np.clip((points - (lower + upper) / 2) / side + 0.5, 0.0, 1.0)
-    return unit
+    middle: NDArray[np.float64]
+    side: float
+
+    @classmethod
+    def around(cls, points: NDArray[Any]) -> Cube:
+        """The cube of the longest extent of points (N, 3).
+
+        The paper puts the lowest corner of the bounding box into the lowest corner of the cube, which leaves all
+        room of the short axes on one side; here the box is centred. Strays must not stretch the cube: it spans
+        the 0.1 to 99.9 percentiles.
+        """
+        lower, upper = np.percentile(np.asarray(points, np.float64), [0.1, 99.9], axis=0)
+        return cls((lower + upper) / 2, max(float((upper - lower).max()), 1e-12) * 1.02)
+
+    def unit(self, points: NDArray[Any]) -> NDArray[np.float64]:
+        """Points (N, 3) in [0, 1]^3; what lies outside is clamped to the sides."""
+        unit: NDArray[np.float64] = np.clip((np.asarray(points, np.float64) - self.middle) / self.side + 0.5, 0.0, 1.0)
+        return unit
+
+
+def unit_cube(points: NDArray[Any]) -> NDArray[np.float64]:
+    """Points (N, 3) in a cube [0, 1]^3 with the side of their longest extent; see `Cube`."""
+    return Cube.around(points).unit(points)
+
+
+def corners_and_weights(unit: NDArray[Any], resolution: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Keys (N, 8) of the grid corners around points in the unit cube, and their trilinear weights (N, 8)."""
+    scaled = unit * (resolution - 1)
+    low = np.minimum(scaled.astype(np.int64), resolution - 2)
+    part = scaled - low
+    value = np.where(CORNERS, part[:, None, :], 1 - part[:, None, :]).prod(-1)
+    return flat_key(low[:, None, :] + CORNERS, resolution), value
 
 
 def trilinear_matrix(unit: NDArray[Any], resolution: int) -> tuple[Any, NDArray[np.int64]]:
@@ -81,11 +106,8 @@ def trilinear_matrix(unit: NDArray[Any], resolution: int) -> tuple[Any, NDArray[
     """
     from scipy import sparse
 
-    scaled = unit * (resolution - 1)
-    low = np.minimum(scaled.astype(np.int64), resolution - 2)
-    part = scaled - low
-    value = np.where(CORNERS, part[:, None, :], 1 - part[:, None, :]).prod(-1)
-    distinct, column = np.unique(flat_key(low[:, None, :] + CORNERS, resolution).ravel(), return_inverse=True)
+    key, value = corners_and_weights(unit, resolution)
+    distinct, column = np.unique(key.ravel(), return_inverse=True)
     rows = np.repeat(np.arange(len(unit)), 8)
     matrix = sparse.csr_matrix((value.ravel(), (rows, column.ravel())), shape=(len(unit), len(distinct)))
     return matrix, np.stack(np.unravel_index(distinct, (resolution,) * 3), axis=1)

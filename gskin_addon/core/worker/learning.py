@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The long part of a job: guidance images and optimisation, with checkpoints, forecasts and an early end."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..guidance.control import ControlSignal
+from ..skinning.optimise import PRUNE_FROM, Optimiser, look_schedule
+from ..skinning.presets import Preset
+from ..skinning.views import Target
+from .course import Course
+
+CHECKS = 10
+"""Looks at the held-out poses in a run."""
+CHECKPOINT_SECONDS = 5.0
+# The weight volume's state has 450 MB: writing it may take this part of the time.
+CHECKPOINT_SHARE = 0.1
+
+
+def work(preset: Preset, views: int, splats: int, bones: int) -> dict[str, tuple[int, float]]:
+    """The kinds of work of a run, with how many pieces of each and guessed seconds; measured on two cores."""
+    size = splats / 50_000
+    images = views * preset.poses_per_view
+    looks, first = look_schedule(preset, images) if splats >= PRUNE_FROM else (), 0
+    kinds = {"initial": (3, 0.5 * size), "guidance": (images + views * preset.held_out, 0.1 * (0.5 + size))}
+    for size_px, iterations in preset.stages:
+        stage = range(first, first + iterations)
+        first += iterations
+        pixels = (size_px / 512) ** 2
+        guess = preset.batch * 0.02 * (0.3 + pixels) * (0.3 + size) * (0.6 + bones / 50)
+        pieces = kinds.get(_learn(size_px), (0, 0.0))[0] + iterations
+        kinds[_learn(size_px)] = (pieces, guess)
+        pieces = kinds.get(_look(size_px), (0, 0.0))[0] + sum(at in stage for at in looks)
+        kinds[_look(size_px)] = (pieces, images * 0.008 * size)
+    kinds["check"] = (len(_check_at(preset)) if preset.held_out else 0, views * preset.held_out * 0.02 * size)
+    kinds["finish"] = (1, 1.0 * size)
+    return kinds
+
+
+def _learn(size: int) -> str:
+    return f"learn at {size}"
+
+
+def _look(size: int) -> str:
+    return f"look at {size}"
+
+
+def _check_at(preset: Preset) -> frozenset[int]:
+    """The iterations after which the held-out poses are looked at: about every tenth of the run, and the end."""
+    return frozenset(np.linspace(0, preset.iterations, CHECKS + 1).round().astype(int)[1:].tolist())
+
+
+def try_out(optimiser: Optimiser, course: Course) -> None:
+    """Measure what an iteration costs at each size, before anything is learned."""
+    for size in dict.fromkeys(size for size, _ in optimiser.preset.stages):
+        optimiser.try_out(size)  # loads the kernels
+        course.rest()
+        if optimiser.looks:
+            optimiser.look(size)
+            course.tried(_look(size))
+        optimiser.try_out(size)
+        course.tried(_learn(size))
+
+
+def make_guidance(provider: Any, signals: Sequence[ControlSignal], course: Course) -> list[Target]:
+    targets = []
+    images = provider.images(signals)
+    for number, signal in enumerate(signals):
+        targets.append(Target(signal.camera, signal.transforms, next(images)))
+        course.did("guidance")
+        course.say("guidance", f"Guidance image {number + 1} of {len(signals)}")
+    return targets
+
+
+def optimise(optimiser: Optimiser, course: Course, checkpoint: Path) -> list[dict[str, float]]:
+    """Run to the end, from the checkpoint where there is one; the losses of about 50 iterations."""
+    path = checkpoint / "optimiser.pt"
+    iterations = optimiser.preset.iterations
+    history: list[dict[str, float]] = []
+    if path.is_file():
+        state = torch.load(path, weights_only=False)  # our own file, in the job's own folder
+        optimiser.restore(state["optimiser"])
+        history = state["history"]
+    _skip_done(optimiser, course)
+    checks, every = _check_at(optimiser.preset), max(1, iterations // 50)
+    saved, cost = time.monotonic(), 0.0
+    course.rest()
+    while optimiser.iteration < iterations and not optimiser.stop.reason:
+        number, size = optimiser.iteration, optimiser.size_now()
+        if optimiser.must_look:
+            optimiser.look()
+            course.did(_look(size))
+        parts = optimiser.step()
+        course.did(_learn(size))
+        if number % every == 0 or number == iterations - 1:
+            history.append({"iteration": number, **parts})
+        if optimiser.iteration in checks and optimiser.check() is not None:
+            course.did("check")
+        begun = time.monotonic()
+        if begun - saved > CHECKPOINT_SECONDS + cost / CHECKPOINT_SHARE:
+            _save({"optimiser": optimiser.state(), "history": history}, path)
+            saved = time.monotonic()
+            cost = saved - begun
+            course.rest()
+        course.say("optimise", f"Iteration {number + 1} of {iterations}", parts)
+    optimiser.use_best()
+    return history
+
+
+def _skip_done(optimiser: Optimiser, course: Course) -> None:
+    """Count as done what was done before a stop."""
+    reached, optimiser.iteration = optimiser.iteration, 0
+    for number in range(reached):
+        optimiser.iteration = number
+        size = optimiser.size_now()
+        course.forecast.skip(_learn(size), 1)
+        if number in optimiser.looks:
+            course.forecast.skip(_look(size), 1)
+        if number + 1 in _check_at(optimiser.preset):
+            course.forecast.skip("check", 1)
+    optimiser.iteration = reached
+
+
+def _save(state: dict[str, Any], path: Path) -> None:
+    temporary = path.with_suffix(".tmp")
+    torch.save(state, temporary)
+    os.replace(temporary, path)

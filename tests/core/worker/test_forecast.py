@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Time left, on a fake clock, for runs whose kinds of work cost very differently."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gskin_addon.core.skinning.presets import PRESETS
+from gskin_addon.core.worker.course import Course
+from gskin_addon.core.worker.forecast import Forecast
+from gskin_addon.core.worker.learning import work
+
+# Seconds for each piece: an easy job, one whose pictures are slow, one whose large images are slow, a slow machine.
+COSTS = {
+    "even": {"initial": 0.5, "guidance": 0.1, "look": 1.0, 256: 0.05, 512: 0.12, "check": 0.1, "finish": 1.0},
+    "slow guidance": {"initial": 0.5, "guidance": 9.0, "look": 1.0, 256: 0.05, 512: 0.12, "check": 0.1, "finish": 1.0},
+    "steep in size": {"initial": 0.5, "guidance": 0.05, "look": 0.4, 256: 0.03, 512: 0.4, "check": 0.4, "finish": 2.0},
+    "many bones": {"initial": 6.0, "guidance": 0.6, "look": 5.0, 256: 0.9, 512: 1.5, "check": 0.5, "finish": 9.0},
+}
+
+
+def cost(kind, table):
+    word, _, size = kind.partition(" at ")
+    return table["look"] if word == "look" else table[int(size)] if word == "learn" else table[word]
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("name", COSTS)
+def test_after_a_tenth_of_the_run_the_end_is_known_within_a_fifth(name, preset):
+    table, rng, now, told = COSTS[name], np.random.default_rng(0), [0.0], []
+    kinds = work(PRESETS[preset], 4, 50_000, 20)
+    course = Course(lambda *news: told.append((now[0], news[4])), kinds, clock=lambda: now[0])
+
+    def spend(kind):
+        now[0] += cost(kind, table) * rng.uniform(0.8, 1.2)
+
+    def do(kind):
+        spend(kind)
+        course.did(kind)
+        course.say("stage", "")
+
+    for _ in range(kinds["initial"][0]):
+        do("initial")
+    for kind in kinds:
+        if " at " in kind:
+            spend(kind)
+            course.tried(kind)
+    for kind in kinds:
+        if kind != "initial":
+            for _ in range(kinds[kind][0]):
+                do(kind)
+    early = [(at, left) for at, left in told if at >= now[0] / 10]
+    for at, left in early[: len(early) // 2]:
+        assert left == pytest.approx(now[0] - at, rel=0.2)
+    assert told[-1][1] == pytest.approx(0, abs=1e-9)
+
+
+def test_guesses_follow_the_speed_of_what_was_measured():
+    forecast = Forecast({"a": (10, 1.0), "b": (10, 2.0)})
+    assert forecast.left() == pytest.approx(30)
+    forecast.did("a", 6.0, 2)  # three times slower than guessed
+    assert forecast.left() == pytest.approx(8 * 3 + 10 * 6)
+    forecast.tried("b", 1.0)
+    assert forecast.left() == pytest.approx(8 * 3 + 10)
+
+
+def test_a_resumed_run_begins_where_it_stood():
+    forecast = Forecast({"a": (4, 1.0), "b": (4, 1.0)})
+    forecast.skip("a", 4)
+    assert forecast.fraction() == pytest.approx(0.5)
+    forecast.tried("b", 3.0)
+    assert forecast.left() == pytest.approx(12)
+    forecast.did("b", 3.0, 4)
+    assert forecast.fraction() == 1.0
+    assert Forecast({}).fraction() == 0.0
