@@ -15,7 +15,10 @@ from ..errors import InputError
 if TYPE_CHECKING:
     from .provider import GuidanceContext, Provider
 
+NO_GUIDANCE = "none"
+
 GUIDANCE = {
+    NO_GUIDANCE: "No images: the initial weights as they are, in seconds.",
     "elastic": "Built in: poses the splats as an elastic body that hangs on its bones, and renders that.",
     "flux_repair": "Your own FLUX.2 [klein] weights (4B: Apache-2.0): repairs renders of the posed splats.",
     "lightning_drag": "Drags the joints with LightningDrag, the paper's diffusion model; you bring its weights.",
@@ -31,7 +34,8 @@ def create_provider(name: str, context: GuidanceContext) -> Provider:
     Raises:
         InputError: there is none of that name, or it lacks something it needs.
     """
-    if name not in GUIDANCE:
-        raise InputError(f"There is no guidance '{name}': choose one of {', '.join(GUIDANCE)}.")
+    if name not in GUIDANCE or name == NO_GUIDANCE:
+        providers = ", ".join(known for known in GUIDANCE if known != NO_GUIDANCE)
+        raise InputError(f"There is no guidance '{name}': choose one of {providers}.")
     provider: Provider = import_module(f".{name}", __name__).create(context)
     return provider

@@ -25,12 +25,18 @@ CHECKPOINT_SECONDS = 5.0
 CHECKPOINT_SHARE = 0.1
 
 
-def work(preset: Preset, views: int, splats: int, bones: int) -> dict[str, tuple[int, float]]:
-    """The kinds of work of a run, with how many pieces of each and guessed seconds; measured on two cores."""
+def work(preset: Preset, views: int, splats: int, bones: int, guided: bool = True) -> dict[str, tuple[int, float]]:
+    """The kinds of work of a run, with how many pieces of each and guessed seconds; measured on two cores.
+
+    guided: whether there are guidance images to learn from.
+    """
     size = splats / 50_000
     images = views * preset.poses_per_view
     looks, first = look_schedule(preset, images) if splats >= PRUNE_FROM else (), 0
-    kinds = {"initial": (3, 0.5 * size), "guidance": (images + views * preset.held_out, 0.1 * (0.5 + size))}
+    kinds, finish = {"initial": (2, 1.0 + size)}, {"finish": (1, 1.0 * size)}
+    if not guided:
+        return kinds | finish
+    kinds |= {"distances": (1, 0.5 * size), "guidance": (images + views * preset.held_out, 0.1 * (0.5 + size))}
     for size_px, iterations in preset.stages:
         stage = range(first, first + iterations)
         first += iterations
@@ -41,8 +47,7 @@ def work(preset: Preset, views: int, splats: int, bones: int) -> dict[str, tuple
         pieces = kinds.get(_look(size_px), (0, 0.0))[0] + sum(at in stage for at in looks)
         kinds[_look(size_px)] = (pieces, images * 0.008 * size)
     kinds["check"] = (len(_check_at(preset)) if preset.held_out else 0, views * preset.held_out * 0.02 * size)
-    kinds["finish"] = (1, 1.0 * size)
-    return kinds
+    return kinds | finish
 
 
 def _learn(size: int) -> str:

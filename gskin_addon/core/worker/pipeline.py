@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..guidance import create_provider
-from ..guidance.control import make_signals
-from ..guidance.provider import GuidanceContext, to_bytes
+from ..guidance import NO_GUIDANCE
+from ..guidance.provider import to_bytes
 from ..render.backends import choose_backend
 from ..render.camera import PAPER_AZIMUTHS, Camera, paper_views, percentile_bounds
 from ..render.rasterizer import prepare, render_cloud, view_colors
@@ -22,23 +21,20 @@ from ..rig.lbs import sparsify
 from ..rig.skeleton import Skeleton
 from ..skinning import subset as subsets
 from ..skinning.extent import unit_frame
-from ..skinning.fields import create_field
-from ..skinning.geodesic import body_distances
-from ..skinning.initial import initial_weights
+from ..skinning.initial import initial_with_confidence
 from ..skinning.losses import LossWeights
-from ..skinning.optimise import Optimiser
-from ..skinning.posers import Poser, SplatPoser
 from ..skinning.presets import preset_by_name
 from ..skinning.subset import choose_subset, follow_nearest
-from ..skinning.views import SEEN, Target
+from ..skinning.views import SEEN
 from ..splats.cloud import SplatCloud
 from ..splats.hygiene import Hygiene
 from .course import Course
-from .learning import make_guidance, optimise, try_out, work
+from .guided import Learned, learn
+from .learning import work
 from .previews import preview_images
 from .progress import Progress
 from .proxy import Proxy
-from .settings import FRONTS, PRESET_FIELD, JobSettings
+from .settings import FRONTS, JobSettings
 
 GUIDANCE_SIZE = 512
 
@@ -74,9 +70,9 @@ def run(
     chosen = JobSettings.parse(settings)
     preset = preset_by_name(chosen.preset)
     losses = LossWeights.parse(chosen.losses)
-    field_name = preset.field if chosen.field == PRESET_FIELD else chosen.field
-    views = len(PAPER_AZIMUTHS)
-    course = Course(progress, work(preset, views, min(cloud.count, subsets.LIMIT), skeleton.count))
+    guided = chosen.guidance != NO_GUIDANCE
+    kinds = work(preset, len(PAPER_AZIMUTHS), min(cloud.count, subsets.LIMIT), skeleton.count, guided)
+    course = Course(progress, kinds)
     rasterizer, remark = choose_backend(chosen.rasterizer)
     course.say("initial", remark or "Preparing the splats")
     whole, skeleton = to_unit_size(cloud, skeleton)
@@ -92,101 +88,63 @@ def run(
     course.say("initial", "Initial weights")
     rest_pictures = [render_cloud(subset.cloud, camera) for camera in cameras]
     masks = np.stack([alpha > 0.5 for _, alpha in rest_pictures])
+    given = (skeleton, masks, cameras, chosen.init_options)
     if proxy is None:
-        nodes, initial_whole = None, initial_weights(
-            chosen.init, whole, skeleton, masks, cameras, chosen.init_options
-        )
+        initial_whole, sure = initial_with_confidence(chosen.init, whole, *given)
+        nodes, trust = initial_whole[subset.index], None if sure is None else sure[subset.index]
     else:
-        nodes = proxy.initial(
-            chosen.init, subset.cloud, skeleton, masks, cameras, chosen.init_options
-        )
+        nodes, trust = proxy.initial(chosen.init, subset.cloud, *given)
         initial_whole = proxy.spread(nodes)
-    initial = initial_whole[subset.index]
-    course.did("initial")
-    course.say("initial", "Distances through the body")
-    distances = body_distances(subset.cloud, skeleton)
+        sure = None if trust is None else proxy.spread(trust[:, None], normalised=False)[:, 0]
     course.did("initial")
     course.end_stage("initial")
 
-    course.say("guidance", "Guidance images")
-    if proxy is None or nodes is None:
-        poser: Poser = SplatPoser(subset.cloud, losses.arap_neighbours)
-        field = create_field(field_name, subset.cloud.means, initial, chosen.field_options)
-    else:
-        poser = proxy.poser(subset, losses.arap_neighbours)
-        field = create_field(field_name, proxy.verts, nodes, chosen.field_options)
-    context = GuidanceContext(
-        subset.cloud,
-        skeleton,
-        initial,
-        distances,
-        index=subset.index,
-        options=chosen.options,
-        seed=chosen.seed,
-        checkpoint=checkpoint,
-        tick=lambda done, message: course.say("guidance", message),
-    )
-    rng = np.random.default_rng(chosen.seed)
-    signals = make_signals(skeleton, cameras, preset.poses_per_view, rng)
-    # Poses of their own, from their own seed: the others stay the same whatever is held out.
-    unseen = make_signals(skeleton, cameras, preset.held_out, np.random.default_rng([chosen.seed, 1]))
-    begin = partial(
-        Optimiser,
-        subset.cloud,
-        skeleton,
-        field,
-        poser=poser,
-        losses=losses,
-        seed=chosen.seed,
-        rasterizer=rasterizer,
-    )
-    at_rest = [
-        Target(s.camera, s.transforms, to_bytes(rest_pictures[s.view][0])) for s in signals[:: preset.poses_per_view]
-    ]
-    try_out(begin(at_rest, preset), course)
-    course.end_stage("prepare")
-    targets = make_guidance(create_provider(chosen.guidance, context), [*signals, *unseen], course)
-    del context, distances, rest_pictures
-    course.end_stage("guidance")
-
-    optimiser = begin(targets[: len(signals)], preset, held_out=targets[len(signals) :])
-    history = optimise(optimiser, course, checkpoint)
-    course.end_stage("optimise")
+    learned = Learned(nodes)
+    if guided:
+        initial = nodes if proxy is None else initial_whole[subset.index]
+        learned = learn(
+            chosen, subset, proxy, skeleton, nodes, initial, trust, cameras,
+            [to_bytes(image) for image, _ in rest_pictures], losses, rasterizer, course, checkpoint,
+        )  # fmt: skip
+    del rest_pictures
 
     course.say("finish", "Weights of all splats")
-    learned, mesh_weights = optimiser.weights(), None
-    if proxy is None:
-        spread = subset.spread(learned, initial, initial_whole, field.query)
-        weights = follow_nearest(whole.means, spread, ignored)
+    mesh_weights = None
+    if proxy is not None:
+        weights, mesh_weights = proxy.spread(learned.weights), learned.weights
+    elif guided:
+        weights = subset.spread(learned.weights, nodes, initial_whole, learned.query)
     else:
-        weights, mesh_weights = proxy.spread(learned), learned
+        weights = initial_whole.copy()
+    weights = follow_nearest(whole.means, weights, ignored)
     if chosen.max_influences:
         weights = sparsify(weights, chosen.max_influences)
         mesh_weights = None if mesh_weights is None else sparsify(mesh_weights, chosen.max_influences)
-    previews = preview_images(whole, initial_whole, weights, cameras, signals, targets)
+    previews = preview_images(whole, initial_whole, weights, cameras, learned.signals, learned.targets)
+    changed = _change(weights, initial_whole)
     course.end_stage("finish")
     report = {
         "settings": chosen.as_dict(),
-        "field": field_name,
         "rasterizer": {"name": rasterizer, "remark": remark},
         "splats": whole.count,
-        "splats_optimised": subset.cloud.count,
+        "splats_optimised": subset.cloud.count if guided else 0,
         "hygiene": {**bad_counts, **needle_counts},
         "bones": skeleton.count,
-        "guidance_images": len(signals),
-        "iterations": optimiser.iteration,
-        "stopped": optimiser.stop.reason or "the schedule is done",
-        "held_out": [{"iteration": at, "render": loss} for at, loss in optimiser.stop.history],
-        "losses": history,
+        "guidance_images": len(learned.signals),
+        **learned.report,
         "seconds": course.seconds,
-        "mean_weight_change": _mean_change(weights, initial_whole),
+        "mean_weight_change": float(changed.mean()),
         "bones_without_splats": [
             name for name, most in zip(skeleton.names, weights.max(axis=0), strict=True) if most < 0.01
         ],
     }
+    if sure is not None:
+        # Where the images disagree with what was known, neither is sure.
+        sure = np.clip(sure * (1 - changed), 0, 1).astype(np.float32) if guided else sure
+        report["mean_confidence"] = float(sure.mean())
     if proxy is not None:
         report["mesh"] = proxy.summary()
-    return Outcome(weights, report, previews, mesh_weights)
+    return Outcome(weights, report, previews, mesh_weights, sure)
 
 
 def to_unit_size(cloud: SplatCloud, skeleton: Skeleton) -> tuple[SplatCloud, Skeleton]:
@@ -205,15 +163,15 @@ def _seen_at_rest(cloud: SplatCloud, cameras: Sequence[Camera]) -> NDArray[np.bo
     """Splats (N,) that show in some view."""
     seen = np.zeros(cloud.count, bool)
     for camera in cameras:
-        scene = prepare(cloud.scales, view_colors(cloud, camera), cloud.opacities)
+        scene = prepare(cloud.scales, view_colors(cloud, camera), cloud.opacities, backend="cpu")
         seen |= scene.contribution(cloud.means, cloud.quats, camera) > SEEN
     return seen
 
 
-def _mean_change(weights: NDArray[np.float32], initial: NDArray[np.float32]) -> float:
-    """Half the mean L1 distance of the rows, by parts: copies of large clouds' weights are large."""
-    total = 0.0
+def _change(weights: NDArray[np.float32], initial: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Half the L1 distance of the rows (N,), by parts: copies of large clouds' weights are large."""
+    change = np.empty(len(weights), np.float32)
     for first in range(0, len(weights), 50_000):
         part = slice(first, first + 50_000)
-        total += float(np.abs(weights[part] - initial[part]).sum(dtype=np.float64))
-    return total / 2 / max(len(weights), 1)
+        change[part] = np.abs(weights[part] - initial[part]).sum(axis=1) / 2
+    return change

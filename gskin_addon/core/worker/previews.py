@@ -32,9 +32,12 @@ def preview_images(
     targets: Sequence[Target],
 ) -> dict[str, Image]:
     """`weights`: splats in their bones' colours, from all cameras; `guidance`: for some poses the control
-    points, the dynamic mask, the guidance image, and the splats posed with initial and learned weights."""
+    points, the dynamic mask, the guidance image, and the splats posed with initial and learned weights; left out
+    where there was no guidance."""
     colored = replace(cloud, sh=((weight_colors(weights) - 0.5) / SH_C0)[:, None, :].astype(np.float32))
     sheet = np.concatenate([render_cloud(colored, camera)[0] for camera in cameras], axis=1)
+    if not signals:
+        return {"weights": sheet}
     rows = []
     for number in np.linspace(0, len(signals) - 1, min(4, len(signals))).astype(int):
         signal, target = signals[number], targets[number]

@@ -16,7 +16,7 @@ from ..rig.anchoring import Anchors, anchor_splats, check_fit
 from ..rig.mesh_weights import splat_weights
 from ..rig.skeleton import Skeleton
 from ..skinning.extent import unit_frame
-from ..skinning.initial import initial_weights
+from ..skinning.initial import initial_with_confidence
 from ..skinning.posers import NEIGHBOURS, AnchoredPoser
 from ..skinning.subset import SplatSubset
 from ..splats.cloud import SplatCloud
@@ -56,8 +56,9 @@ class Proxy:
         masks: Array,
         cameras: Sequence[Camera],
         options: Mapping[str, Any] | None = None,
-    ) -> NDArray[np.float32]:
-        """Initial weights (V, B) of the vertices by the method `name`, in a body of the splats `cloud`.
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32] | None]:
+        """Initial weights (V, B) of the vertices by the method `name`, in a body of the splats `cloud`; with their
+        confidence (V,), where the method has one.
 
         The vertices join the splats as small splats, with the colour of the nearest: a method sees one body.
         """
@@ -72,13 +73,13 @@ class Proxy:
             np.concatenate([cloud.opacities, np.ones(count, np.float32)]),
             np.concatenate([cloud.sh[:, :1], cloud.sh[cKDTree(cloud.means).query(self.verts)[1], :1]]),
         )
-        found: NDArray[np.float32] = initial_weights(name, both, skeleton, masks, cameras, options)[cloud.count :]
-        return found
+        weights, sure = initial_with_confidence(name, both, skeleton, masks, cameras, options)
+        return weights[cloud.count :], None if sure is None else sure[cloud.count :]
 
-    def spread(self, weights: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Weights (N, B) of all splats from those of the vertices (V, B)."""
+    def spread(self, weights: NDArray[np.float32], normalised: bool = True) -> NDArray[np.float32]:
+        """Weights (N, B) of all splats from those of the vertices (V, B); or other values, not `normalised`."""
         spread = splat_weights(self.anchors, weights, self.faces)
-        return spread / spread.sum(axis=1, keepdims=True)
+        return spread / spread.sum(axis=1, keepdims=True) if normalised else spread
 
     def poser(self, subset: SplatSubset, neighbours: int = NEIGHBOURS) -> AnchoredPoser:
         """What moves the splats that are optimised; neighbours: of each vertex, for ARAP."""

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Weights from guidance images: signals, images, optimisation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..guidance import create_provider
+from ..guidance.control import ControlSignal, make_signals
+from ..guidance.provider import GuidanceContext
+from ..render.camera import Camera
+from ..rig.skeleton import Skeleton
+from ..skinning.fields import create_field
+from ..skinning.geodesic import body_distances
+from ..skinning.losses import LossWeights
+from ..skinning.optimise import Optimiser
+from ..skinning.posers import Poser, SplatPoser
+from ..skinning.presets import preset_by_name
+from ..skinning.subset import SplatSubset
+from ..skinning.views import Target
+from .course import Course
+from .learning import make_guidance, optimise, try_out
+from .proxy import Proxy
+from .settings import PRESET_FIELD, JobSettings
+
+
+@dataclass(frozen=True)
+class Learned:
+    """weights (M, B) of the nodes: the splats of the subset, or the proxy mesh's vertices; signals and targets: what
+    they were learned from; report: numbers and words; query: see `WeightField.query`."""
+
+    weights: NDArray[np.float32]
+    signals: Sequence[ControlSignal] = ()
+    targets: Sequence[Target] = ()
+    report: Mapping[str, Any] = field(default_factory=dict)
+    query: Callable[[NDArray[Any]], Any] | None = None
+
+
+def learn(
+    chosen: JobSettings,
+    subset: SplatSubset,
+    proxy: Proxy | None,
+    skeleton: Skeleton,
+    nodes: NDArray[np.float32],
+    initial: NDArray[np.float32],
+    trust: NDArray[np.float32] | None,
+    cameras: Sequence[Camera],
+    rest_images: Sequence[NDArray[np.uint8]],
+    losses: LossWeights,
+    rasterizer: str,
+    course: Course,
+    checkpoint: Path,
+) -> Learned:
+    """Weights of the nodes from the images of the job's guidance.
+
+    nodes (M, B): their initial weights; initial (S, B): those of the subset's splats; trust (M,): confidence in
+    the nodes' initial weights, or None; rest_images: the subset from each of the cameras.
+    """
+    preset = preset_by_name(chosen.preset)
+    course.say("guidance", "Distances through the body")
+    distances = body_distances(subset.cloud, skeleton)
+    course.did("distances")
+    field_name = preset.field if chosen.field == PRESET_FIELD else chosen.field
+    if proxy is None:
+        poser: Poser = SplatPoser(subset.cloud, losses.arap_neighbours)
+        weight_field = create_field(field_name, subset.cloud.means, nodes, chosen.field_options)
+    else:
+        poser = proxy.poser(subset, losses.arap_neighbours)
+        weight_field = create_field(field_name, proxy.verts, nodes, chosen.field_options)
+    context = GuidanceContext(
+        subset.cloud,
+        skeleton,
+        initial,
+        distances,
+        index=subset.index,
+        options=chosen.options,
+        seed=chosen.seed,
+        checkpoint=checkpoint,
+        tick=lambda done, message: course.say("guidance", message),
+    )
+    signals = make_signals(skeleton, list(cameras), preset.poses_per_view, np.random.default_rng(chosen.seed))
+    # Poses of their own, from their own seed: the others stay the same whatever is held out.
+    unseen = make_signals(skeleton, list(cameras), preset.held_out, np.random.default_rng([chosen.seed, 1]))
+    begin = partial(
+        Optimiser,
+        subset.cloud,
+        skeleton,
+        weight_field,
+        poser=poser,
+        losses=losses,
+        confidence=trust,
+        seed=chosen.seed,
+        rasterizer=rasterizer,
+    )
+    at_rest = [Target(s.camera, s.transforms, rest_images[s.view]) for s in signals[:: preset.poses_per_view]]
+    try_out(begin(at_rest, preset), course)
+    course.end_stage("prepare")
+    targets = make_guidance(create_provider(chosen.guidance, context), [*signals, *unseen], course)
+    course.end_stage("guidance")
+
+    optimiser = begin(targets[: len(signals)], preset, held_out=targets[len(signals) :])
+    history = optimise(optimiser, course, checkpoint)
+    course.end_stage("optimise")
+    report = {
+        "field": field_name,
+        "iterations": optimiser.iteration,
+        "stopped": optimiser.stop.reason or "the schedule is done",
+        "held_out": [{"iteration": at, "render": loss} for at, loss in optimiser.stop.history],
+        "losses": history,
+    }
+    return Learned(optimiser.weights(), signals, targets, report, weight_field.query)
