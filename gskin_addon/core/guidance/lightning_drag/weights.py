@@ -64,6 +64,7 @@ def load(files: Files, dtype: torch.dtype, trained: torch.dtype | None = None) -
 
     _quiet()
     trained = trained or dtype
+    scheduler = _scheduler(files.base / "scheduler/scheduler_config.json")
     unet = _pretrained(UNet2DConditionModel, files.base / "unet", "base model's UNet", torch_dtype=dtype)
     if files.lcm_lora is not None:
         path = files.lcm_lora / "pytorch_lora_weights.safetensors"
@@ -92,7 +93,7 @@ def load(files: Files, dtype: torch.dtype, trained: torch.dtype | None = None) -
         vae=vae,
         text=empty_prompt(files.base, unet.config.cross_attention_dim),
         places=self_attentions(unet),
-        scheduler=_scheduler(files.base / "scheduler/scheduler_config.json"),
+        scheduler=scheduler,
     )
     for module in (*model.encoders, *model.denoisers):
         module.eval().requires_grad_(False)

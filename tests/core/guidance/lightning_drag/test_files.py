@@ -17,9 +17,18 @@ from safetensors.torch import load_file, save_file
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.guidance.lightning_drag.files import find_files
 from gskin_addon.core.guidance.lightning_drag.lora import merge_lora
-from gskin_addon.core.guidance.lightning_drag.weights import load, load_appearance, load_point_embedding
+from gskin_addon.core.guidance.lightning_drag.point_embedding import PointEmbedding
+from gskin_addon.core.guidance.lightning_drag.processors import install
+from gskin_addon.core.guidance.lightning_drag.weights import (
+    load,
+    load_appearance,
+    load_ip_adapter,
+    load_point_embedding,
+    load_strictly,
+)
+from gskin_addon.core.guidance.model_files import load_tensors
 from gskin_addon.core.guidance.options import LightningDragOptions
-from tests.helpers.tiny_lightning import CONTEXT, kohya_lora, tiny_unet
+from tests.helpers.tiny_lightning import CLIP_WIDTH, CONTEXT, POINT_WIDTH, kohya_lora, tiny_unet
 
 ENCODER = "lightning_drag/appearance_encoder/diffusion_pytorch_model.safetensors"
 POINTS = "lightning_drag/point_embedding/point_embedding.pt"
@@ -27,6 +36,15 @@ ATTENTION = "lightning_drag/lightning-drag-sd15-attn.bin"
 ADAPTER = "ip_adapter/models/ip-adapter_sd15.bin"
 LORA = "lcm_lora/pytorch_lora_weights.safetensors"
 UNET = "base/unet/diffusion_pytorch_model.safetensors"
+
+
+EMBEDDINGS = PointEmbedding(POINT_WIDTH).embeddings
+
+
+@pytest.fixture(scope="module")
+def unet():
+    """A denoising UNet that nothing is left in by the tests that are refused."""
+    return tiny_unet(9)
 
 
 @pytest.fixture
@@ -212,10 +230,23 @@ def reshape(key, shape):
         (LORA, reshape("conv_in.weight", (1,)), "which is no part of a LoRA"),
     ],
 )
-def test_wrong_tensors_are_named(mine, file, change, words):
-    spoil(mine / file, change)
+def test_wrong_tensors_are_named(mine, unet, file, change, words):
+    path = mine / file
+    spoil(path, change)
     with pytest.raises(InputError, match=words):
-        load_all(mine)
+        if file == POINTS:
+            load_point_embedding(path)
+        elif file == ENCODER:
+            load_appearance(path.parent, unet.config, torch.float32)
+        elif file == LORA:
+            merge_lora(unet, load_tensors(path, "LCM-LoRA"), f"The LCM-LoRA '{path}'")
+        elif file == ADAPTER:
+            load_ip_adapter(path, install(unet, EMBEDDINGS), CLIP_WIDTH)
+        elif file == ATTENTION:
+            attention = load_tensors(path, "attention weights")
+            load_strictly(install(unet, EMBEDDINGS), attention, f"The attention weights '{path}'")
+        else:
+            load_all(mine)
 
 
 @pytest.mark.parametrize("file", [POINTS, ATTENTION, ADAPTER, ENCODER, LORA, UNET])
