@@ -15,7 +15,7 @@ help:
 	@echo 'make test-window    the extension in a real Blender window; BLENDER=/path/to/blender, else (as root) one of Debian'
 	@echo 'make lint           ruff and mypy'
 	@echo 'make zip            the Blender extension, into dist'
-	@echo 'make bench-speed    speed of the rasterisers, also on a GPU where there is one'
+	@echo 'make bench-speed    every bar of speed and memory; ONLY=iteration,standard and REPEATS=3 choose'
 	@echo 'make bench-quality  all ways to make weights, on assets with known ones; tables into docs/benchmarks.md'
 
 $(STAMP): pyproject.toml tools/make_venv.py
@@ -40,8 +40,7 @@ zip: $(STAMP)
 	@$(RUN) tools/build_zip.py --out dist
 
 bench-speed: $(STAMP)
-	@$(RUN) benchmarks/bench_rasterizer.py
-	@$(RUN) benchmarks/bench_gpu.py
+	@$(RUN) -m benchmarks.bench_speed $(if $(ONLY),--only $(ONLY)) $(if $(REPEATS),--repeats $(REPEATS))
 
 bench-quality: $(STAMP)
 	@$(RUN) -m benchmarks.quality
