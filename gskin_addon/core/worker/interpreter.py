@@ -19,7 +19,7 @@ from pathlib import Path
 from ..errors import InputError
 
 VARIABLE = "GSKIN_PYTHON"
-NEEDED = ("numpy", "scipy", "numba", "torch")
+NEEDED = ("numpy", "scipy", "numba", "torch", "safetensors")
 OLDEST = (3, 11)
 
 _QUESTION = """

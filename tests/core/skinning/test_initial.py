@@ -12,6 +12,7 @@ from gskin_addon.core.rig.skeleton import Skeleton
 from gskin_addon.core.skinning.extent import robust_bounds, unit_frame
 from gskin_addon.core.skinning.initial import (
     INITIAL_WEIGHTS,
+    check_options,
     falloff_weights,
     initial_weights,
     initial_weights_visibility,
@@ -170,3 +171,14 @@ def _cloud(points: np.ndarray) -> SplatCloud:
     n = len(points)
     quats = np.tile([1.0, 0, 0, 0], (n, 1))
     return SplatCloud(points, quats, np.full((n, 3), 0.01), np.ones(n), np.zeros((n, 1, 3)))
+
+
+def test_options_of_a_method_are_checked(tmp_path):
+    check_options("geodesic", {})
+    check_options("learned", {"model": ""})
+    with pytest.raises(InputError, match="'geodesic' have no option 'model'; it takes none"):
+        check_options("geodesic", {"model": "x"})
+    with pytest.raises(InputError, match="must be a path"):
+        check_options("learned", {"model": 3})
+    with pytest.raises(InputError, match="does not exist"):
+        check_options("learned", {"model": str(tmp_path / "no.safetensors")})

@@ -136,7 +136,7 @@ def generate(rng: np.random.Generator) -> Subject:
     spacing = float(np.sqrt(sum(part.area for part in plan.flesh) * 3 / count))
     cloud = SplatCloud(
         points.astype(np.float32),
-        np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
+        np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
         np.full((count, 3), 0.5 * spacing, np.float32),
         rng.uniform(0.8, 0.99, count).astype(np.float32),
         ((colors - 0.5) / SH_C0)[:, None].astype(np.float32),

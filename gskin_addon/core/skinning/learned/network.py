@@ -78,8 +78,8 @@ class _Layer(nn.Module):
         scores = q @ k.transpose(-1, -2) * (width // self.heads) ** -0.5 + bias
         mixed = (scores.softmax(-1) @ v).transpose(1, 2).reshape(count, tokens, width)
         x = x + self.out(mixed)
-        hidden = functional.dropout(functional.relu(self.widen(self.norm2(x))), 0.1, self.training)
-        out: Tensor = x + self.narrow(hidden)
+        inner = functional.dropout(functional.relu(self.widen(self.norm2(x))), 0.1, self.training)
+        out: Tensor = x + self.narrow(inner)
         return out
 
 
