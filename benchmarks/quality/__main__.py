@@ -124,7 +124,8 @@ def _run(
         score = result.score
         print(
             f"{done}/{total} {result.asset}{skeleton} {result.method}: error {score['error']:.3f} "
-            f"(random poses {score['random_error']:.3f}), PSNR {score['psnr']:.2f}, {result.seconds:.1f} s"
+            f"(random poses {score['random_error']:.3f}), PSNR {score['psnr']:.2f}, "
+            f"{'?' if result.seconds is None else f'{result.seconds:.1f}'} s"
             f"{'' if result.status == 'ok' else ' ' + result.status.upper()}"
             f"{' - ' + result.note if result.note else ''}; {left / 60:.0f} min left",
             flush=True,

@@ -24,7 +24,8 @@ class Result:
     """One method on one asset.
 
     status: OK; PARTLY, where the method left splats without weights; FAILED, where it gave none. What it left
-    out follows the nearest bone and is scored so. seconds: core-seconds. score: the fields of judge.Score.
+    out follows the nearest bone and is scored so. seconds: core-seconds, None where nobody knows. score: the fields of
+    judge.Score.
     """
 
     asset: str
@@ -36,7 +37,7 @@ class Result:
     bones: int
     status: str
     note: str
-    seconds: float
+    seconds: float | None
     score: dict[str, float | None]
 
     @property

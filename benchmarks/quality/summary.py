@@ -103,7 +103,7 @@ class Summary:
 
     def seconds(self, method: str) -> float:
         """Median core-seconds to make the weights."""
-        found = [r.seconds for r in self.of(method) if r.status != FAILED]
+        found = [r.seconds for r in self.of(method) if r.status != FAILED and r.seconds is not None]
         return float(np.median(found)) if found else float("nan")
 
     def failures(self) -> list[Result]:

@@ -60,20 +60,20 @@ def perform(task: Task, protocol: Protocol, folder: Path, lpips: Perceptual | No
     assert subject.masks.size  # made here, so that no method pays for them
     entry = entry_of(task.asset)
 
-    def judged(method: str, made: Made, status: str, seconds: float) -> Result:
+    def judged(method: str, made: Made, status: str, seconds: float | None) -> Result:
         weights = made.weights @ case.fold
         if task.skeleton == OWN and status != FAILED:
             save_weights(weights_path(folder, task.asset, method, protocol.key), weights)
         return Result(
             task.asset, entry.category, entry.family, method, task.skeleton, protocol.key, case.skeleton.count,
-            status, made.note, round(seconds, 2), asdict(judge.score(weights)),
+            status, made.note, seconds, asdict(judge.score(weights)),
         )  # fmt: skip
 
     def lost(why: str) -> Made:
         return Made(rigid_weights(subject.cloud.means, subject.skeleton), why)
 
     for method, why in task.failed:
-        yield "result", judged(method, lost(why), FAILED, 0.0)
+        yield "result", judged(method, lost(why), FAILED, None)
     for method in task.methods:
         started = time.process_time()
         try:
@@ -94,7 +94,7 @@ def perform(task: Task, protocol: Protocol, folder: Path, lpips: Perceptual | No
             limit_cpu(None)
         seconds = time.process_time() - started
         yield "made", method
-        yield "result", judged(method, made, status, seconds)
+        yield "result", judged(method, made, status, round(seconds, 2))
 
 
 def order_methods(methods: Sequence[str]) -> tuple[str, ...]:

@@ -1,13 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from bodies import capsule_asset
+from benchmark_bodies import capsule_asset
 
 from benchmarks.quality.judge import MOST_PSNR, Judge, compare
 from benchmarks.quality.lpips import Perceptual

@@ -1,13 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from bodies import capsule, capsule_asset, two_bones
+from benchmark_bodies import capsule, capsule_asset, two_bones
 
 from benchmarks.quality.methods import Subject, Unavailable, create_method
 from benchmarks.quality.methods.base import complete, nearest_bone

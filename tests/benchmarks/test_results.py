@@ -1,16 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-import sys
 import time
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from bodies import result
+from benchmark_bodies import result
 
 from benchmarks.quality import work
 from benchmarks.quality.catalog import CATEGORIES, Entry, balanced

@@ -1,13 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-from bodies import capsule_asset
+from benchmark_bodies import capsule_asset
 from PIL import Image
 
 from benchmarks.quality import pictures, work
@@ -57,6 +52,7 @@ def test_methods_are_made_judged_and_kept(capsule, tmp_path, monkeypatch):
     assert found["truth"].score["error"] < 1e-4 < found["nearest"].score["error"]
     # Failures are scored as if all followed the nearest bone.
     assert found["broken"].status == found["crashed"].status == FAILED
+    assert found["crashed"].seconds is None
     assert found["broken"].score == found["crashed"].score == found["nearest"].score
     assert "RuntimeError: the solver gave up" in found["broken"].note
     kept = load_weights(weights_path(tmp_path, "capsule", "nearest", SMALL.key))
