@@ -25,6 +25,7 @@ import numpy as np
 from benchmarks.bench_speed import iteration_cost, make_optimiser
 from benchmarks.figure import figure
 from benchmarks.jobs import Cost, run_job
+from benchmarks.markers import write_between
 from gskin_addon.core.render.threads import thread_count
 from gskin_addon.core.skinning import optimise, pose_kernels, subset, views
 from gskin_addon.core.skinning.fields.base import WeightField
@@ -144,7 +145,7 @@ def plot(points: Sequence[Point], costs: Sequence[tuple[str, int, Cost]], folder
         axes[0].bar(names, seconds, bottom=bottom, label=stage, color=color)
         bottom += seconds
     axes[0].set(xlabel="splats", ylabel="seconds of a draft job")
-    axes[0].legend(frameon=False)
+    axes[0].legend(frameon=False, bbox_to_anchor=(1, 1), loc="upper left")
     axes[1].plot(names, [cost.peak_mb / 1e3 for _, cost in mine], "o-", color="#1f6f8b")
     axes[1].axhline(4, color="#e07a3f", linestyle="--", linewidth=1)
     axes[1].set(xlabel="splats", ylabel="peak memory, GB", ylim=(0, None))
@@ -152,9 +153,15 @@ def plot(points: Sequence[Point], costs: Sequence[tuple[str, int, Cost]], folder
     figure_.savefig(folder / "scaling_jobs.png", dpi=90)
 
 
-def tables(points: Sequence[Point], costs: Sequence[tuple[str, int, Cost]], parts: dict[str, float], where: str) -> str:
-    """Markdown of everything measured."""
-    base = ", ".join(f"{_short(value)} {WORDS[kind]}" for kind, value in BASE.items())
+def tables(
+    points: Sequence[Point],
+    costs: Sequence[tuple[str, int, Cost]],
+    parts: dict[str, float],
+    where: str,
+    at_rest: dict[str, int] = BASE,
+) -> str:
+    """Markdown of everything measured; at_rest: what the quantities are that are not varied."""
+    base = ", ".join(f"{WORDS[kind]} {value:,}" for kind, value in at_rest.items())
     lines = [
         f"{thread_count()}-core CPU. One thing varied at a time from {base}; milliseconds for each render of a full "
         "iteration (rendering both ways, losses, posing, field, Adam, finding what views see), 4 images at a time.",
@@ -170,7 +177,7 @@ def tables(points: Sequence[Point], costs: Sequence[tuple[str, int, Cost]], part
         "|---|---|---|---|" + "---|" * (len(costs[0][2].report["seconds"]) + 1),
     ]
     for kind, value, cost in costs:
-        at = {**BASE, kind: value}
+        at = {**at_rest, kind: value}
         numbers = [f"{at['splats']:,}", f"{at['bones']}", f"{cost.wall:.0f}", f"{cost.core:.0f}"]
         numbers += [f"{seconds:.1f}" for seconds in cost.report["seconds"].values()] + [f"{cost.peak_mb / 1e3:.2f}"]
         lines.append("| " + " | ".join(numbers) + " |")
@@ -180,18 +187,6 @@ def tables(points: Sequence[Point], costs: Sequence[tuple[str, int, Cost]], part
     ordered = sorted(parts.items(), key=lambda part: -part[1])
     lines += [f"| {label} | {ms:.1f} | {ms / whole:.0%} |" for label, ms in ordered]
     return "\n".join(lines)
-
-
-def write_between(path: Path, name: str, text: str) -> None:
-    """Put `text` between the markers <!-- name:begin --> and <!-- name:end --> of a file. ValueError without them."""
-    begin, end = f"<!-- {name}:begin -->", f"<!-- {name}:end -->"
-    whole = path.read_text(encoding="utf-8")
-    if begin not in whole or end not in whole:
-        raise ValueError(f"'{path}' lacks the markers {begin} and {end}")
-    head, _, rest = whole.partition(begin)
-    temporary = path.with_suffix(".tmp")
-    temporary.write_text(f"{head}{begin}\n{text}\n{end}{rest.partition(end)[2]}", encoding="utf-8")
-    os.replace(temporary, path)
 
 
 def _short(value: int) -> str:
@@ -214,7 +209,7 @@ def main() -> None:
         print(kind, value, f"{cost.wall:.1f} s, {cost.peak_mb:.0f} MB", file=sys.stderr, flush=True)
     parts = profile(base["splats"], base["bones"], base["size"])
     plot(points, costs, options.plots)
-    text = tables(points, costs, parts, "images")
+    text = tables(points, costs, parts, "images", base)
     print(text)
     if options.write:
         write_between(options.write, "scaling", text)

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """`make bench-speed`: every bar of speed and memory as `name value target ok|MISS`, with core-time beside.
 
-    python -m benchmarks.bench_speed [--only NAME,...] [--repeats 3] [--quick]
+    python -m benchmarks.bench_speed [--only NAME,...] [--repeats 3] [--quick] [--write docs/benchmarks.md]
 
 Values are medians of --repeats runs (at least 3 for numbers that are reported). Seconds are wall seconds, with the
 core-seconds of all threads in brackets; ratios and errors have none. The subject is a made-up figure of tubes
 (`benchmarks/figure.py`), the guidance the built-in one. Names begin like those in BARS; --quick leaves out the
-ones that take minutes.
+ones that take minutes; --write puts the lines between `<!-- speed:begin -->` and `<!-- speed:end -->`.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
@@ -27,6 +28,7 @@ from benchmarks import bench_gpu, torch_rasterizer
 from benchmarks.bench_rasterizer import measure, shell
 from benchmarks.figure import figure
 from benchmarks.jobs import Cost, run_job
+from benchmarks.markers import write_between
 from gskin_addon.core.guidance.control import make_signals
 from gskin_addon.core.guidance.oracle import Oracle
 from gskin_addon.core.guidance.provider import GuidanceContext
@@ -35,6 +37,7 @@ from gskin_addon.core.render.camera import paper_views, percentile_bounds
 from gskin_addon.core.render.cpu import prepare
 from gskin_addon.core.render.rasterizer import render_cloud
 from gskin_addon.core.render.reference import render as render_slowly
+from gskin_addon.core.render.threads import thread_count
 from gskin_addon.core.skinning.fields import create_field
 from gskin_addon.core.skinning.initial import initial_weights
 from gskin_addon.core.skinning.optimise import Optimiser, Target, look_schedule
@@ -217,15 +220,20 @@ def main() -> None:
     parser.add_argument("--only", default=",".join(BARS), help="groups: " + ", ".join(BARS))
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--quick", action="store_true", help="without " + ", ".join(LONG))
+    parser.add_argument("--write", type=Path, help="Markdown file with the markers")
     options = parser.parse_args()
+    lines = [f"{thread_count()}-core CPU, medians of {options.repeats} runs", ""]
     for name in options.only.split(","):
         if options.quick and name in LONG:
             continue
         begun, threads = time.perf_counter(), torch.get_num_threads()
         for bar in BARS[name](options.repeats):
             print(bar, flush=True)
+            lines.append(str(bar))
         torch.set_num_threads(threads)
         print(f"{name}: {time.perf_counter() - begun:.0f} s", file=sys.stderr, flush=True)
+    if options.write:
+        write_between(options.write, "speed", "\n".join(["```", *lines, "```"]))
 
 
 if __name__ == "__main__":

@@ -18,8 +18,8 @@ _COUNTS = {"arap_neighbours": 1, "coupling_neighbours": 1, "arap_nodes": 0}
 class LossWeights:
     """Factors of Eq. 9. ARAP is counted relative to the mean squared edge, coupling in the unit diagonal.
 
-    Both are thereby free of the asset's scale; the paper does not state its w_a, w_c and K_2. The defaults won
-    the sweep of `benchmarks/sweep_losses.py`.
+    Both are thereby free of the asset's scale; the paper does not state its w_a, w_c and K_2.
+    `benchmarks/sweep_losses.py` compares others with these.
 
     arap, coupling: w_a, w_c; dssim: share of D-SSIM beside L1, 0 to 1; anchor: of the divergence from the initial
     weights; arap_neighbours, coupling_neighbours: K_1, K_2; arap_nodes: nodes drawn for ARAP in each iteration, 0

@@ -24,7 +24,8 @@ Array = NDArray[np.float32]
 SEEN = 0.005
 """Blending weight that a splat must reach in a view, at `LOOK` px, to be rendered in it: about 0.01 at 512 px.
 
-A higher one (0.01 at 256 px) costs 1 % of the final error in weights, this one nothing measurable."""
+On a made-up figure (20,000 splats, 40 iterations) 0.01 raises the final error of the weights by 1.0 to 1.3 %, this
+value by 0.2 to 0.7 %."""
 LOOK = 256
 """Pixels of the renders that look for what is seen."""
 _CHUNK = 8
