@@ -66,18 +66,18 @@ def test_a_python_without_what_it_needs_is_told(assets, tmp_path, capsys, monkey
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="POSIX signals")
-def test_ctrl_c_keeps_what_is_finished(assets, tmp_path):
+def test_ctrl_c_keeps_what_is_finished(tmp_path):
+    assets = write_collection(tmp_path / "many", {"fox": 60, "owl": 1})
     out = tmp_path / "pairs"
-    command = [sys.executable, str(PROGRAM), "train-guidance", "pairs", str(assets), "--out", str(out)]
-    command += ["--poses", "400", "--size", "64", "--splats", "500", "--validation", "0.3"]
+    command = [sys.executable, str(PROGRAM), "train-guidance", "pairs", str(assets), "--out", str(out), *SMALL]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    until = time.monotonic() + 60
+    until = time.monotonic() + 200
     while not ((out / "manifest.json").is_file() and read_manifest(out)["shards"]):
         assert time.monotonic() < until
         assert process.poll() is None
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=30)
+    _, said = process.communicate(timeout=60)
     assert process.returncode == 130
     assert said.splitlines()[-1].startswith("Stopped; what is finished stays in ")
-    assert len(PairDataset(out)) >= 256
+    assert 0 < len(PairDataset(out)) < 60 * 8
