@@ -197,6 +197,24 @@ def reshape(key, shape):
     return lambda state: state.update({key: torch.zeros(shape)})
 
 
+def read_one(folder, file, unet):
+    """Load what `file` belongs to, as `load` does, without the rest where that is not needed."""
+    path = folder / file
+    if file == POINTS:
+        load_point_embedding(path)
+    elif file == ENCODER:
+        load_appearance(path.parent, unet.config, torch.float32)
+    elif file == LORA:
+        merge_lora(unet, load_tensors(path, "LCM-LoRA"), f"The LCM-LoRA '{path}'")
+    elif file == ADAPTER:
+        load_ip_adapter(path, install(unet, EMBEDDINGS), CLIP_WIDTH)
+    elif file == ATTENTION:
+        state = load_tensors(path, "attention weights")
+        load_strictly(install(unet, EMBEDDINGS), state, f"The attention weights '{path}'")
+    else:
+        load_all(folder)
+
+
 @pytest.mark.parametrize(
     ("file", "change", "words"),
     [
@@ -231,22 +249,9 @@ def reshape(key, shape):
     ],
 )
 def test_wrong_tensors_are_named(mine, unet, file, change, words):
-    path = mine / file
-    spoil(path, change)
+    spoil(mine / file, change)
     with pytest.raises(InputError, match=words):
-        if file == POINTS:
-            load_point_embedding(path)
-        elif file == ENCODER:
-            load_appearance(path.parent, unet.config, torch.float32)
-        elif file == LORA:
-            merge_lora(unet, load_tensors(path, "LCM-LoRA"), f"The LCM-LoRA '{path}'")
-        elif file == ADAPTER:
-            load_ip_adapter(path, install(unet, EMBEDDINGS), CLIP_WIDTH)
-        elif file == ATTENTION:
-            attention = load_tensors(path, "attention weights")
-            load_strictly(install(unet, EMBEDDINGS), attention, f"The attention weights '{path}'")
-        else:
-            load_all(mine)
+        read_one(mine, file, unet)
 
 
 @pytest.mark.parametrize("file", [POINTS, ATTENTION, ADAPTER, ENCODER, LORA, UNET])
