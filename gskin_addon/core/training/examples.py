@@ -89,4 +89,5 @@ def batches(
 def collate(examples: Sequence[tuple[Any, ...]]) -> Batch:
     """One batch of several examples."""
     *columns, seeds = zip(*examples, strict=True)
-    return Batch(*[torch.cat(column) for column in columns], seeds=list(seeds))
+    rest, posed, mask, maps, clip = (torch.cat(column) for column in columns)
+    return Batch(rest, posed, mask, maps, clip, list(seeds))

@@ -7,6 +7,7 @@ import contextlib
 import os
 import shutil
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -110,5 +111,5 @@ def write_checkpoint(model: LightningDrag, out: Path, source: Path, facts: Mappi
         shutil.copyfile(source / APPEARANCE / "config.json", config)
     for name, module in ((POINTS, model.point_embedding), (ATTENTION, model.processors)):
         state = {key: value.detach().float().cpu() for key, value in module.state_dict().items()}
-        write_atomically(out / name, lambda file, state=state: torch.save(state, file))
+        write_atomically(out / name, partial(torch.save, state))
     write_json(out / FINE_TUNED, dict(facts))

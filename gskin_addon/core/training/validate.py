@@ -45,7 +45,11 @@ def validate(
     for group in _groups(pairs, numbers, painter.batch):
         frames = [_frame(pairs[number], place, image_seed(seed, number)) for number, place in group]
         begun, share = len(scores["psnr"]) / len(numbers), len(group) / len(numbers)
-        images = painter.paint(frames, lambda part, begun=begun, share=share: tell(begun + part * share))
+
+        def tick(part: float, begun: float = begun, share: float = share) -> None:
+            tell(begun + part * share)
+
+        images = painter.paint(frames, tick)
         for (number, _), frame, image in zip(group, frames, images, strict=True):
             made = composite(frame, image).astype(np.float32) / 255
             truth = pairs[number].posed.astype(np.float32) / 255
@@ -73,7 +77,8 @@ def _groups(pairs: PairDataset, numbers: list[int], most: int) -> Iterator[list[
 
 def _frame(pair: Pair, place: int, seed: int) -> Frame:
     """A painter reads the control points and the view's number of a signal, not its camera and pose."""
-    camera = look_at((0, -1, 0), (0, 0, 0), size=pair.mask.shape)
+    height, width = pair.mask.shape
+    camera = look_at((0, -1, 0), (0, 0, 0), size=(height, width))
     signal = ControlSignal(
         place, camera, np.zeros((0, 4, 4)), pair.handles.astype(np.float64), pair.targets.astype(np.float64)
     )

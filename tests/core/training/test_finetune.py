@@ -79,7 +79,7 @@ def test_four_pairs_are_learned_and_the_guidance_takes_the_result(pairs, models,
         "batch": 4,
         "learning_rate": 1e-2,
         "weight_decay": 0.0,
-        "updates": 24,
+        "updates": 36,
         "ema": 0.9,
         "checkpointing": False,
         "lpips": str(lpips),
@@ -89,7 +89,7 @@ def test_four_pairs_are_learned_and_the_guidance_takes_the_result(pairs, models,
     facts = json.loads((out / "fine_tuned.json").read_text())
     before, after = facts["validation"]["before"], facts["validation"]["after"]
     losses = [entry["loss"] for entry in facts["losses"]]
-    assert len(losses) == facts["updates"] == 24
+    assert len(losses) == facts["updates"] == 36
     assert np.mean(losses[-6:]) < 0.6 * losses[0]
     assert after["pairs"] == before["pairs"] == 4
     assert after["psnr"] > before["psnr"] + 0.7
