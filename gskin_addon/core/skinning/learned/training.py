@@ -143,11 +143,13 @@ class Trainer:
         self.step_number = 0
         self.losses: list[float] = []
         self._updating = False
+        self._random = torch.get_rng_state()  # of the dropout, after the last whole step
 
     def step(self) -> float:
-        """One step; returns the mean loss of its lessons. Everything random depends on seed and step alone."""
+        """One step; returns the mean loss of its lessons. Equal seeds give equal steps, stopped in between or not."""
         schedule = self.schedule
         rng = np.random.default_rng([schedule.seed, self.step_number])
+        torch.set_rng_state(self._random)
         lessons = self.syllabus.draw(schedule.lessons, rng)
         self.network.zero_grad()
         total = 0.0
@@ -171,6 +173,7 @@ class Trainer:
         for name, value in self.network.state_dict().items():
             self._mean[name].lerp_(value, 1 - keep)
         self.losses.append(total)
+        self._random = torch.get_rng_state()
         self._updating = False
         return total
 
@@ -212,6 +215,7 @@ class Trainer:
             "optimisers": [optimiser.state_dict() for optimiser, _ in self._optimisers],
             "step": self.step_number,
             "losses": self.losses,
+            "random": self._random,
         }
         temporary = path.with_name(f".{path.name}.{os.getpid()}")
         torch.save(state, temporary)
@@ -236,4 +240,4 @@ class Trainer:
         self._mean = state["mean"]
         for (optimiser, _), kept in zip(self._optimisers, state["optimisers"], strict=True):
             optimiser.load_state_dict(kept)
-        self.step_number, self.losses = state["step"], state["losses"]
+        self.step_number, self.losses, self._random = state["step"], state["losses"], state["random"]

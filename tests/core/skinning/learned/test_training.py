@@ -20,7 +20,7 @@ def syllabus(tmp_path_factory):
     """One creature, one lesson."""
     rng = np.random.default_rng(11)
     path = tmp_path_factory.mktemp("lessons") / "one.npz"
-    make_lesson(creatures.generate(rng), rng, rows=150).save(path)
+    make_lesson(creatures.generate(rng), rng, rows=100).save(path)
     return Syllabus({"made up": {"one": [path]}})
 
 
@@ -58,8 +58,8 @@ def test_posed_error_is_the_distance_to_the_true_place(syllabus):
 
 def test_one_creature_is_learned_by_heart(syllabus):
     lesson = only_lesson(syllabus)
-    trainer = Trainer(syllabus, Schedule(steps=110, lessons=1, rate=5e-3, average=0.9))
-    for _ in range(110):
+    trainer = Trainer(syllabus, Schedule(steps=70, lessons=1, rate=5e-3, average=0.9))
+    for _ in range(70):
         trainer.step()
     with torch.no_grad():
         answer = trainer.result()(make_batch([vars(lesson)]))
@@ -68,7 +68,7 @@ def test_one_creature_is_learned_by_heart(syllabus):
             torch.from_numpy(lesson.bone.astype(np.int64)).clamp(min=0), lesson,
             posed_lesson(lesson, 16, np.random.default_rng(0)),
         )  # fmt: skip
-    assert float(error.mean()) < 0.35 * lesson.difficulty
+    assert float(error.mean()) < 0.5 * lesson.difficulty
 
 
 def test_a_stopped_training_goes_on_and_ends_the_same(syllabus, tmp_path):
