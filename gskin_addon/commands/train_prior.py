@@ -71,8 +71,8 @@ def _train(options: argparse.Namespace, syllabus: object, left: tuple[str, ...],
                 trainer.save(checkpoint)
                 saved = time.monotonic()
     except KeyboardInterrupt:
-        if trainer.save(checkpoint):
-            say(f"Stopped at step {trainer.step_number}; the same command goes on from '{checkpoint}'.")
+        trainer.save(checkpoint)
+        say(f"Stopped at step {trainer.step_number}; the same command goes on from '{checkpoint}'.")
         raise
     training = {
         "steps": options.steps, "seed": options.seed, "creatures": options.creatures,

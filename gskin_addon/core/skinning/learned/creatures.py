@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,126 +10,23 @@ from numpy.typing import NDArray
 
 from ...rig.skeleton import Skeleton
 from ...splats.cloud import SH_C0, SplatCloud
+from .flesh import Plan, cover_with_splats
 
 if TYPE_CHECKING:
     from .examples import Subject
 
 Array = NDArray[Any]
-MIRROR = np.array([-1.0, 1.0, 1.0])
-
-
-@dataclass
-class _Flesh:
-    """A capsule that tapers from radius r0 to r1, flattened along `flat`; it moves with `bone`."""
-
-    start: Array
-    end: Array
-    r0: float
-    r1: float
-    flat: Array
-    thin: float
-    bone: int
-    color: Array
-    rigid: bool
-
-    def local(self, points: Array) -> tuple[Array, Array]:
-        """Place along the axis, 0 to 1, and signed distance to the surface, roughly."""
-        axis = self.end - self.start
-        away = points - self.start
-        away = away + (1 / self.thin - 1) * (away @ self.flat)[:, None] * self.flat
-        t = (away @ axis / max(axis @ axis, 1e-12)).clip(0, 1)
-        radius = self.r0 + (self.r1 - self.r0) * t
-        return t, np.linalg.norm(away - t[:, None] * axis, axis=1) - radius
-
-    def sample(self, count: int, rng: np.random.Generator) -> Array:
-        """Points on the surface, about evenly."""
-        axis = self.end - self.start
-        length = max(float(np.linalg.norm(axis)), 1e-9)
-        axis = axis / length
-        side = np.cross(axis, [0.3, 0.5, 0.81])
-        side /= np.linalg.norm(side)
-        other = np.cross(axis, side)
-        along = rng.uniform(-self.r0, length + self.r1, count)
-        t = along.clip(0, length)
-        radius = self.r0 + (self.r1 - self.r0) * t / length
-        around = np.sqrt(np.maximum(radius**2 - (along - t) ** 2, 0))
-        angle = rng.uniform(0, 2 * np.pi, count)
-        ring = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * other
-        points = along[:, None] * axis + around[:, None] * ring
-        return self.start + points + (self.thin - 1) * (points @ self.flat)[:, None] * self.flat
-
-    @property
-    def area(self) -> float:
-        return float((self.r0 + self.r1) * (np.linalg.norm(self.end - self.start) + self.r0 + self.r1))
-
-
-@dataclass
-class _Plan:
-    """A creature while it grows."""
-
-    rng: np.random.Generator
-    parents: list[int] = field(default_factory=list)
-    heads: list[Array] = field(default_factory=list)
-    tails: list[Array] = field(default_factory=list)
-    flesh: list[_Flesh] = field(default_factory=list)
-
-    def bone(self, parent: int, head: Array, tail: Array) -> int:
-        self.parents.append(parent)
-        self.heads.append(np.asarray(head, float))
-        self.tails.append(np.asarray(tail, float))
-        return len(self.parents) - 1
-
-    def cover(
-        self, bone: int, r0: float, r1: float, color: Array, *, flat: Array | None = None, thin: float = 1.0,
-        segment: tuple[Array, Array] | None = None, rigid: bool = False,
-    ) -> None:  # fmt: skip
-        start, end = segment or (self.heads[bone], self.tails[bone])
-        axis = np.array([1.0, 0, 0]) if flat is None else flat / np.linalg.norm(flat)
-        self.flesh.append(_Flesh(start, end, r0, r1, axis, thin, bone, color, rigid))
-
-    def chain(
-        self, parent: int, start: Array, direction: Array, lengths: Array, radius: float, taper: float, color: Array,
-        *, bend: float = 0.3, flat: Array | None = None, thin: float = 1.0,
-    ) -> list[int]:  # fmt: skip
-        """Bones in a row, each turned a little against the last; returns them."""
-        made: list[int] = []
-        at, way = np.asarray(start, float), np.asarray(direction, float)
-        for length in lengths:
-            way = way / np.linalg.norm(way)
-            parent = self.bone(parent, at, at + way * length)
-            self.cover(parent, radius, radius * taper, color, flat=flat, thin=thin)
-            made.append(parent)
-            at, radius = at + way * length, radius * taper
-            way = way + self.rng.normal(0, bend, 3)
-        return made
-
-    def mirror(self, bones: int, flesh: int) -> None:
-        """The same again on the other side: everything from bone number `bones` and flesh number `flesh` on."""
-        count = len(self.parents) - bones
-        for bone in range(bones, bones + count):
-            parent = self.parents[bone] + (count if self.parents[bone] >= bones else 0)
-            self.bone(parent, self.heads[bone] * MIRROR, self.tails[bone] * MIRROR)
-        for part in self.flesh[flesh:]:
-            bone = part.bone + count if part.bone >= bones else part.bone
-            mirrored = {"start": part.start * MIRROR, "end": part.end * MIRROR, "flat": part.flat * MIRROR}
-            self.flesh.append(replace(part, bone=bone, **mirrored))
-
-    def limbs(self, grow: Callable[[], None]) -> None:
-        """What `grow` makes at x > 0, on both sides."""
-        bones, flesh = len(self.parents), len(self.flesh)
-        grow()
-        self.mirror(bones, flesh)
 
 
 def generate(rng: np.random.Generator) -> Subject:
     """A random creature, about 2 units large, with 4000 to 6000 splats and weights that follow a rule."""
     from .examples import Subject
 
-    plan = _Plan(rng)
+    plan = Plan(rng)
     [_biped, _quadruped, _crawler, _swimmer, _biped, _quadruped][rng.integers(6)](plan)
     names = tuple(f"{i}" for i in range(len(plan.parents)))
     skeleton = Skeleton(names, np.array(plan.parents), np.array(plan.heads), np.array(plan.tails))
-    points, colors, weights = _skin(plan, skeleton, int(rng.integers(4000, 6000)))
+    points, colors, weights = cover_with_splats(plan, skeleton, int(rng.integers(4000, 6000)))
     count = len(points)
     spacing = float(np.sqrt(sum(part.area for part in plan.flesh) * 3 / count))
     cloud = SplatCloud(
@@ -148,7 +43,7 @@ def _color(rng: np.random.Generator) -> Array:
     return rng.uniform(0.05, 0.95, 3)
 
 
-def _head(plan: _Plan, parent: int, at: Array, way: Array, size: float, color: Array) -> int:
+def _head(plan: Plan, parent: int, at: Array, way: Array, size: float, color: Array) -> int:
     """A head, perhaps with a jaw, ears or horns, eyes and a hat."""
     rng = plan.rng
     head = plan.bone(parent, at, at + way * 2 * size)
@@ -182,7 +77,7 @@ def _head(plan: _Plan, parent: int, at: Array, way: Array, size: float, color: A
     return head
 
 
-def _carried(plan: _Plan, bones: list[int], size: float) -> None:
+def _carried(plan: Plan, bones: list[int], size: float) -> None:
     """Rigid things in hands, on backs or hovering near: they move with one bone as a whole."""
     rng = plan.rng
     for bone in bones:
@@ -197,7 +92,7 @@ def _carried(plan: _Plan, bones: list[int], size: float) -> None:
                        thin=rng.uniform(0.25, 1), segment=span, rigid=True)  # fmt: skip
 
 
-def _spine(plan: _Plan, start: Array, way: Array, length: float, radius: float, color: Array) -> list[int]:
+def _spine(plan: Plan, start: Array, way: Array, length: float, radius: float, color: Array) -> list[int]:
     """A root, perhaps bare, and a row of bones with the trunk around them."""
     rng = plan.rng
     parent = -1
@@ -210,7 +105,7 @@ def _spine(plan: _Plan, start: Array, way: Array, length: float, radius: float, 
                       flat=np.cross(way, wide), thin=rng.uniform(0.5, 1.0))  # fmt: skip
 
 
-def _legs(plan: _Plan, parent: int, hip: Array, height: float, radius: float, color: Array, tips: list[int]) -> None:
+def _legs(plan: Plan, parent: int, hip: Array, height: float, radius: float, color: Array, tips: list[int]) -> None:
     rng = plan.rng
 
     def leg() -> None:
@@ -228,12 +123,12 @@ def _legs(plan: _Plan, parent: int, hip: Array, height: float, radius: float, co
     plan.limbs(leg)
 
 
-def _tail(plan: _Plan, parent: int, start: Array, way: Array, length: float, radius: float, color: Array) -> None:
+def _tail(plan: Plan, parent: int, start: Array, way: Array, length: float, radius: float, color: Array) -> None:
     count = int(plan.rng.integers(1, 7))
     plan.chain(parent, start, way, np.full(count, length / count), radius, 0.8, color, bend=0.2)
 
 
-def _wings(plan: _Plan, parent: int, start: Array, span: float, color: Array) -> None:
+def _wings(plan: Plan, parent: int, start: Array, span: float, color: Array) -> None:
     rng = plan.rng
 
     def wing() -> None:
@@ -245,7 +140,7 @@ def _wings(plan: _Plan, parent: int, start: Array, span: float, color: Array) ->
     plan.limbs(wing)
 
 
-def _biped(plan: _Plan) -> None:
+def _biped(plan: Plan) -> None:
     rng, color = plan.rng, _color(plan.rng)
     trousers = _color(rng) if rng.random() < 0.7 else color
     tall, stout = rng.uniform(0.5, 0.9), rng.uniform(0.12, 0.3)
@@ -283,7 +178,7 @@ def _biped(plan: _Plan) -> None:
     _carried(plan, [tips[-1], head, spine[-1]], rng.uniform(0.15, 0.35))
 
 
-def _quadruped(plan: _Plan) -> None:
+def _quadruped(plan: Plan) -> None:
     rng, color = plan.rng, _color(plan.rng)
     high, long, stout = rng.uniform(0.3, 0.9), rng.uniform(0.6, 1.4), rng.uniform(0.14, 0.3)
     back = np.array([0.0, long / 2, high])
@@ -303,7 +198,7 @@ def _quadruped(plan: _Plan) -> None:
     _carried(plan, [spine[0], spine[-1]], 0.25)
 
 
-def _crawler(plan: _Plan) -> None:
+def _crawler(plan: Plan) -> None:
     rng, color = plan.rng, _color(plan.rng)
     high, long, stout = rng.uniform(0.15, 0.5), rng.uniform(0.4, 1.2), rng.uniform(0.12, 0.3)
     back = np.array([0.0, long / 2, high])
@@ -327,7 +222,7 @@ def _crawler(plan: _Plan) -> None:
         _tail(plan, spine[0], back, np.array([0.0, 1.0, 0.5]), rng.uniform(0.3, 1.0), 0.3 * stout, color)
 
 
-def _swimmer(plan: _Plan) -> None:
+def _swimmer(plan: Plan) -> None:
     """Snakes and fish."""
     rng, color = plan.rng, _color(plan.rng)
     count, long, stout = int(rng.integers(3, 14)), rng.uniform(1.0, 2.0), rng.uniform(0.06, 0.25)
@@ -346,41 +241,3 @@ def _swimmer(plan: _Plan) -> None:
             plan.cover(bone, 0.4 * stout, 0.3 * stout, hue, flat=flat, thin=0.2)
 
         plan.limbs(fin)
-
-
-def _skin(plan: _Plan, skeleton: Skeleton, count: int) -> tuple[Array, Array, Array]:
-    """Points on the outside of all flesh, their colours and weights.
-
-    Flesh blends between its bone and the bones next to it in the tree by how deep the point lies in the flesh of
-    each; rigid parts follow their bone alone.
-    """
-    rng = plan.rng
-    area = np.array([part.area for part in plan.flesh])
-    soft = rng.uniform(0.08, 0.5)
-    points, colors, weights = [], [], []
-    by_bone: dict[int, list[_Flesh]] = {}
-    for part in plan.flesh:
-        if not part.rigid:
-            by_bone.setdefault(part.bone, []).append(part)
-    for number, part in enumerate(plan.flesh):
-        some = part.sample(max(int(1.5 * count * area[number] / area.sum()), 8), rng)
-        buried = np.zeros(len(some), bool)
-        for other in plan.flesh:
-            if other is not part:
-                buried |= other.local(some)[1] < -0.1 * min(other.r0, other.r1) * other.thin
-        some = some[~buried]
-        own = np.zeros((len(some), skeleton.count))
-        if part.rigid:
-            own[:, part.bone] = 1
-        else:
-            kin = [part.bone, int(skeleton.parents[part.bone]), *skeleton.children(part.bone)]
-            for bone in kin:
-                for flesh in by_bone.get(int(bone), []):
-                    depth = flesh.local(some)[1] / (soft * (part.r0 + part.r1))
-                    own[:, bone] = np.maximum(own[:, bone], np.exp(-depth.clip(-20, 20) * 2))
-        points.append(some)
-        colors.append(np.tile(part.color, (len(some), 1)))
-        weights.append(own / np.maximum(own.sum(axis=1, keepdims=True), 1e-30))
-    every = np.concatenate(points), np.concatenate(colors), np.concatenate(weights)
-    picked = rng.permutation(len(every[0]))[:count]
-    return every[0][picked], every[1][picked], every[2][picked]

@@ -3,9 +3,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
-from collections.abc import Sequence
+import signal
+import threading
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -124,6 +127,22 @@ def posed_error(share: Tensor, truth: Tensor, bone: Tensor, lesson: Lesson, pose
     return 100 * ((got - wanted).square().sum(-1) + 1e-9).sqrt()
 
 
+@contextlib.contextmanager
+def _undisturbed() -> Iterator[None]:
+    """An interrupt waits until the end of the block, so that no step is half done."""
+    if threading.current_thread() is not threading.main_thread():
+        yield  # interrupts reach the main thread only
+        return
+    heard: list[tuple[int, Any]] = []
+    previous = signal.signal(signal.SIGINT, lambda number, frame: heard.append((number, frame)))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_DFL if previous is None else previous)
+    if heard and callable(previous):
+        previous(*heard[0])
+
+
 class Trainer:
     """The network, its optimiser, and the running mean of its weights, which is what is kept in the end."""
 
@@ -142,7 +161,6 @@ class Trainer:
         self._mean = {name: value.clone() for name, value in self.network.state_dict().items()}
         self.step_number = 0
         self.losses: list[float] = []
-        self._updating = False
         self._random = torch.get_rng_state()  # of the dropout, after the last whole step
 
     def step(self) -> float:
@@ -163,18 +181,17 @@ class Trainer:
             loss.backward()  # type: ignore[no-untyped-call]
             total += float(loss.detach())
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
-        self._updating = True
-        for optimiser, rate in self._optimisers:
-            for group in optimiser.param_groups:
-                group["lr"] = rate * self._share()
-            optimiser.step()
-        self.step_number += 1
-        keep = min(schedule.average, self.step_number / (self.step_number + 10))
-        for name, value in self.network.state_dict().items():
-            self._mean[name].lerp_(value, 1 - keep)
-        self.losses.append(total)
-        self._random = torch.get_rng_state()
-        self._updating = False
+        with _undisturbed():
+            for optimiser, rate in self._optimisers:
+                for group in optimiser.param_groups:
+                    group["lr"] = rate * self._share()
+                optimiser.step()
+            self.step_number += 1
+            keep = min(schedule.average, self.step_number / (self.step_number + 10))
+            for name, value in self.network.state_dict().items():
+                self._mean[name].lerp_(value, 1 - keep)
+            self.losses.append(total)
+            self._random = torch.get_rng_state()
         return total
 
     def _blur(self, values: Tensor, lesson: Lesson, rng: np.random.Generator) -> None:
@@ -202,10 +219,8 @@ class Trainer:
         network.load_state_dict(self._mean)
         return network.eval()
 
-    def save(self, path: Path) -> bool:
-        """Leave a checkpoint; not in the middle of an update (an interrupted one), then the last one stays."""
-        if self._updating:
-            return False
+    def save(self, path: Path) -> None:
+        """Leave a checkpoint of the last whole step."""
         state = {
             "schedule": vars(self.schedule),
             "features": NAMES,
@@ -220,7 +235,6 @@ class Trainer:
         temporary = path.with_name(f".{path.name}.{os.getpid()}")
         torch.save(state, temporary)
         os.replace(temporary, path)
-        return True
 
     def restore(self, path: Path) -> None:
         """Go on from a checkpoint.

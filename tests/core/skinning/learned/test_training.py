@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import signal
+
 import numpy as np
 import pytest
 import torch
@@ -124,3 +126,20 @@ def test_creatures_differ_and_are_whole():
         np.testing.assert_allclose(subject.weights.sum(axis=1), 1, atol=1e-5)
         sizes.add((subject.skeleton.count, subject.cloud.count))
     assert len(sizes) == 8
+
+
+def test_an_interrupt_never_leaves_half_a_step(syllabus, monkeypatch):
+    """It comes between the two optimisers, waits, and is heard after the step."""
+    trainer = Trainer(syllabus, Schedule(steps=4, lessons=1))
+    first = trainer._optimisers[0][0]
+    update = first.step
+
+    def interrupted(*arguments):
+        signal.raise_signal(signal.SIGINT)
+        return update(*arguments)
+
+    monkeypatch.setattr(first, "step", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        trainer.step()
+    assert trainer.step_number == len(trainer.losses) == 1
+    assert trainer._optimisers[1][0].state

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Flesh for made-up skeletons: tapered capsules, and splats on the outside of many of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...rig.skeleton import Skeleton
+
+Array = NDArray[Any]
+MIRROR = np.array([-1.0, 1.0, 1.0])
+
+
+@dataclass
+class Flesh:
+    """A capsule that tapers from radius r0 to r1, flattened along `flat`; it moves with `bone`."""
+
+    start: Array
+    end: Array
+    r0: float
+    r1: float
+    flat: Array
+    thin: float
+    bone: int
+    color: Array
+    rigid: bool
+
+    def local(self, points: Array) -> tuple[Array, Array]:
+        """Place along the axis, 0 to 1, and signed distance to the surface, roughly."""
+        axis = self.end - self.start
+        away = points - self.start
+        away = away + (1 / self.thin - 1) * (away @ self.flat)[:, None] * self.flat
+        t = (away @ axis / max(axis @ axis, 1e-12)).clip(0, 1)
+        radius = self.r0 + (self.r1 - self.r0) * t
+        return t, np.linalg.norm(away - t[:, None] * axis, axis=1) - radius
+
+    def sample(self, count: int, rng: np.random.Generator) -> Array:
+        """Points on the surface, about evenly."""
+        axis = self.end - self.start
+        length = max(float(np.linalg.norm(axis)), 1e-9)
+        axis = axis / length
+        side = np.cross(axis, [0.3, 0.5, 0.81])
+        side /= np.linalg.norm(side)
+        other = np.cross(axis, side)
+        along = rng.uniform(-self.r0, length + self.r1, count)
+        t = along.clip(0, length)
+        radius = self.r0 + (self.r1 - self.r0) * t / length
+        around = np.sqrt(np.maximum(radius**2 - (along - t) ** 2, 0))
+        angle = rng.uniform(0, 2 * np.pi, count)
+        ring = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * other
+        points = along[:, None] * axis + around[:, None] * ring
+        return self.start + points + (self.thin - 1) * (points @ self.flat)[:, None] * self.flat
+
+    @property
+    def area(self) -> float:
+        return float((self.r0 + self.r1) * (np.linalg.norm(self.end - self.start) + self.r0 + self.r1))
+
+
+@dataclass
+class Plan:
+    """A creature while it grows."""
+
+    rng: np.random.Generator
+    parents: list[int] = field(default_factory=list)
+    heads: list[Array] = field(default_factory=list)
+    tails: list[Array] = field(default_factory=list)
+    flesh: list[Flesh] = field(default_factory=list)
+
+    def bone(self, parent: int, head: Array, tail: Array) -> int:
+        self.parents.append(parent)
+        self.heads.append(np.asarray(head, float))
+        self.tails.append(np.asarray(tail, float))
+        return len(self.parents) - 1
+
+    def cover(
+        self, bone: int, r0: float, r1: float, color: Array, *, flat: Array | None = None, thin: float = 1.0,
+        segment: tuple[Array, Array] | None = None, rigid: bool = False,
+    ) -> None:  # fmt: skip
+        start, end = segment or (self.heads[bone], self.tails[bone])
+        axis = np.array([1.0, 0, 0]) if flat is None else flat / np.linalg.norm(flat)
+        self.flesh.append(Flesh(start, end, r0, r1, axis, thin, bone, color, rigid))
+
+    def chain(
+        self, parent: int, start: Array, direction: Array, lengths: Array, radius: float, taper: float, color: Array,
+        *, bend: float = 0.3, flat: Array | None = None, thin: float = 1.0,
+    ) -> list[int]:  # fmt: skip
+        """Bones in a row, each turned a little against the last; returns them."""
+        made: list[int] = []
+        at, way = np.asarray(start, float), np.asarray(direction, float)
+        for length in lengths:
+            way = way / np.linalg.norm(way)
+            parent = self.bone(parent, at, at + way * length)
+            self.cover(parent, radius, radius * taper, color, flat=flat, thin=thin)
+            made.append(parent)
+            at, radius = at + way * length, radius * taper
+            way = way + self.rng.normal(0, bend, 3)
+        return made
+
+    def mirror(self, bones: int, flesh: int) -> None:
+        """The same again on the other side: everything from bone number `bones` and flesh number `flesh` on."""
+        count = len(self.parents) - bones
+        for bone in range(bones, bones + count):
+            parent = self.parents[bone] + (count if self.parents[bone] >= bones else 0)
+            self.bone(parent, self.heads[bone] * MIRROR, self.tails[bone] * MIRROR)
+        for part in self.flesh[flesh:]:
+            bone = part.bone + count if part.bone >= bones else part.bone
+            mirrored = {"start": part.start * MIRROR, "end": part.end * MIRROR, "flat": part.flat * MIRROR}
+            self.flesh.append(replace(part, bone=bone, **mirrored))
+
+    def limbs(self, grow: Callable[[], None]) -> None:
+        """What `grow` makes at x > 0, on both sides."""
+        bones, flesh = len(self.parents), len(self.flesh)
+        grow()
+        self.mirror(bones, flesh)
+
+
+def cover_with_splats(plan: Plan, skeleton: Skeleton, count: int) -> tuple[Array, Array, Array]:
+    """Points on the outside of all flesh, their colours and weights.
+
+    Flesh blends between its bone and the bones next to it in the tree by how deep the point lies in the flesh of
+    each; rigid parts follow their bone alone.
+    """
+    rng = plan.rng
+    area = np.array([part.area for part in plan.flesh])
+    soft = rng.uniform(0.08, 0.5)
+    points, colors, weights = [], [], []
+    by_bone: dict[int, list[Flesh]] = {}
+    for part in plan.flesh:
+        if not part.rigid:
+            by_bone.setdefault(part.bone, []).append(part)
+    for number, part in enumerate(plan.flesh):
+        some = part.sample(max(int(1.5 * count * area[number] / area.sum()), 8), rng)
+        buried = np.zeros(len(some), bool)
+        for other in plan.flesh:
+            if other is not part:
+                buried |= other.local(some)[1] < -0.1 * min(other.r0, other.r1) * other.thin
+        some = some[~buried]
+        own = np.zeros((len(some), skeleton.count))
+        if part.rigid:
+            own[:, part.bone] = 1
+        else:
+            kin = [part.bone, int(skeleton.parents[part.bone]), *skeleton.children(part.bone)]
+            for bone in kin:
+                for flesh in by_bone.get(int(bone), []):
+                    depth = flesh.local(some)[1] / (soft * (part.r0 + part.r1))
+                    own[:, bone] = np.maximum(own[:, bone], np.exp(-depth.clip(-20, 20) * 2))
+        points.append(some)
+        colors.append(np.tile(part.color, (len(some), 1)))
+        weights.append(own / np.maximum(own.sum(axis=1, keepdims=True), 1e-30))
+    every = np.concatenate(points), np.concatenate(colors), np.concatenate(weights)
+    picked = rng.permutation(len(every[0]))[:count]
+    return every[0][picked], every[1][picked], every[2][picked]
