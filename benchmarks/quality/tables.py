@@ -16,7 +16,7 @@ from .summary import BASE, MESH, OURS, Summary
 STAGES = (
     ("initial", "the paper's initial weights"),
     ("learned", "learned weights alone"),
-    ("ours:learned+none", "learned + regularisers, no guidance images"),
+    ("ours:learned+none", "a job from learned weights without guidance images"),
     ("ours:learned+elastic", "learned + elastic guidance images + regularisers"),
     ("ours:visibility+elastic", "the paper's initial weights + elastic guidance images + regularisers"),
     ("ours:default", "the default job"),
