@@ -27,8 +27,9 @@ from gskin_addon.core.skinning.learned.model_file import SHIPPED, models_without
 from gskin_addon.core.skinning.learned.predict import learned_weights
 
 from .assets import ASSETS, RiggedSplats, load_asset
-from .bench_quality import initial_of
 from .metrics import POSES, held_out_poses
+from .quality.methods import create_method
+from .quality.methods.base import Subject
 
 SEED = 977  # the Judge's, which no training uses
 BASELINES = ("visibility", "geodesic", "elastic")
@@ -59,7 +60,7 @@ def baselines(name: str, splats: int, kept: Path) -> dict[str, float]:
         distances = body_distances(asset.cloud, asset.skeleton)
         unit = np.square(distances / unit_frame(asset.cloud.means)[1])
         found = {
-            "visibility": initial_of(asset, "visibility"),
+            "visibility": create_method("initial").make(Subject(asset, asset.skeleton, None)).weights,
             "geodesic": falloff_weights(unit, sharpness=GEODESIC_SHARPNESS),
             "elastic": ElasticBody(asset.cloud, distances).weights(),
         }

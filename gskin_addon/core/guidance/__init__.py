@@ -24,7 +24,9 @@ GUIDANCE = {
     "lightning_drag": "Drags the joints with LightningDrag, the paper's diffusion model; you bring its weights.",
     "oracle": "Tests and benchmarks only: poses the splats with weights that are known to be right.",
 }
-DEFAULT_GUIDANCE = "elastic"
+DEFAULT_GUIDANCE = NO_GUIDANCE
+"""Learned initial weights are better than what `elastic` makes of them; see docs/benchmarks.md."""
+
 BENCHMARK_ONLY = frozenset({"oracle"})
 
 
