@@ -8,7 +8,8 @@ import os
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
@@ -43,14 +44,13 @@ def run_tasks(
     be judged. A worker that dies, by the limit of its core-seconds too, or hangs is replaced; the method that it was at
     has failed on that asset.
     """
-    for name in ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = str(threads)
     waiting = deque(tasks)
     workers: list[_Worker] = []
     try:
         while waiting or workers:
             while waiting and len(workers) < jobs:
-                workers.append(_Worker(protocol, folder, lpips))
+                with _threads_of_children(threads):
+                    workers.append(_Worker(protocol, folder, lpips))
                 workers[-1].begin(waiting.popleft())
             wait([worker.pipe for worker in workers], timeout=1.0)
             for worker in list(workers):
@@ -68,6 +68,22 @@ def run_tasks(
     finally:
         for worker in workers:
             worker.close()
+
+
+@contextmanager
+def _threads_of_children(count: int) -> Iterator[None]:
+    """Processes started within take `count` threads each; this one's own environment comes back."""
+    names = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    before = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, str(count)))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 @dataclass

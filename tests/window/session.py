@@ -94,7 +94,8 @@ def bring_in(stage: Stage, hands: Hands, view: View, options: argparse.Namespace
     stage.check("Solid mode shows their colours", view.space.shading.color_type == "VERTEX")
     rig = part("scene.rig_files").import_armature(options.rig)
     rest(rig)
-    bpy.context.scene.gskin.preset = options.preset
+    # Long enough to look at, to move about in and to cancel.
+    bpy.context.scene.gskin.preset, bpy.context.scene.gskin.guidance = options.preset, "elastic"
     rig.data.display_type, rig.show_in_front = "STICK", True
     bpy.context.scene.gskin.splats, bpy.context.scene.gskin.armature = splats, rig
     for obj in (splats, rig):

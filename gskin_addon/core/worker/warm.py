@@ -49,12 +49,13 @@ def main() -> int:
 def warm(send: Callable[[dict[str, Any]], None]) -> None:
     """Run a job of each kind - splats alone, splats on a mesh - so that all kernels are compiled and kept."""
     begun = time.monotonic()
-    jobs: tuple[dict[str, Any], ...] = ({"init": "visibility"}, {"init": "geodesic", "mesh": True})
+    jobs: tuple[dict[str, Any], ...] = ({"init": "learned"}, {"init": "visibility", "mesh": True})
     PRESETS[_NAME] = _TINY
     try:
         for number, settings in enumerate(jobs):
             with tempfile.TemporaryDirectory(prefix="gskin-warm-") as folder:
-                _run(Path(folder), {"preset": _NAME, **settings}, _Relay(send, number / len(jobs), 1 / len(jobs)))
+                settings |= {"preset": _NAME, "guidance": "elastic"}
+                _run(Path(folder), settings, _Relay(send, number / len(jobs), 1 / len(jobs)))
     finally:
         del PRESETS[_NAME]
     seconds = round(time.monotonic() - begun, 1)

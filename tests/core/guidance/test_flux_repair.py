@@ -172,7 +172,7 @@ def test_the_provider_makes_images_and_goes_on_after_a_stop(context, painter, tm
 
 
 def test_a_whole_job(model, painter, tmp_path, monkeypatch):
-    monkeypatch.setitem(presets.PRESETS, "draft", presets.Preset("for tests", 2, ((16, 4), (32, 4)), 2))
+    monkeypatch.setitem(presets.PRESETS, "draft", presets.Preset("for tests", 2, ((16, 4), (32, 4)), 2, held_out=0))
     monkeypatch.setattr(pipeline, "GUIDANCE_SIZE", SIZE)
     monkeypatch.setattr(flux_repair, "FluxPainter", lambda folder, options: painter)  # loaded already
     limb = make_limb(500)

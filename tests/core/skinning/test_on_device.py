@@ -89,7 +89,7 @@ def test_a_job_says_what_drew(tmp_path, monkeypatch):
     monkeypatch.setitem(presets.PRESETS, "draft", PRESET)
     monkeypatch.setattr(pipeline, "GUIDANCE_SIZE", 64)
     limb = make_limb(300)
-    settings = {"preset": "draft", "rasterizer": "warp"}
+    settings = {"preset": "draft", "guidance": "elastic", "rasterizer": "warp"}
     outcome = run(limb.cloud, limb.skeleton, settings, lambda *_: None, tmp_path)
     assert outcome.report["rasterizer"] == {"name": "warp", "remark": ""}
     assert outcome.report["settings"]["rasterizer"] == "warp"

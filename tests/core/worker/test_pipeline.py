@@ -16,10 +16,12 @@ from gskin_addon.core.rig.poses import random_poses
 from gskin_addon.core.rig.segments import bone_segments
 from gskin_addon.core.skinning import presets, subset
 from gskin_addon.core.skinning.initial import initial_weights
+from gskin_addon.core.skinning.learned.predict import learned_weights
 from gskin_addon.core.worker import learning, pipeline
-from gskin_addon.core.worker.pipeline import run
+from gskin_addon.core.worker.pipeline import run, to_unit_size
 from tests.helpers.limb import make_limb
 
+ELASTIC = {"preset": "draft", "guidance": "elastic"}
 TINY = presets.Preset("for tests", 4, ((64, 6), (128, 10)), 4)
 
 
@@ -40,9 +42,32 @@ def position_error(limb, weights):
     return float(np.linalg.norm(moved[0] - moved[1], axis=-1).mean())
 
 
-def test_default_guidance_improves_on_the_initial_weights(tmp_path):
+def test_without_images_a_job_ends_with_its_initial_weights(tmp_path):
     limb = make_limb(1500)
-    start = run(limb.cloud, limb.skeleton, {"preset": "draft"}, silent, tmp_path)
+    told = []
+    outcome = run(limb.cloud, limb.skeleton, {"max_influences": 0}, lambda *news: told.append(news), tmp_path)
+    learned, confidence = learned_weights(*to_unit_size(limb.cloud, limb.skeleton))
+    np.testing.assert_allclose(outcome.weights, learned, atol=1e-6)
+    np.testing.assert_allclose(outcome.confidence, confidence, atol=1e-6)
+    assert outcome.report["guidance_images"] == outcome.report["splats_optimised"] == 0
+    assert set(outcome.previews) == {"weights"}
+    assert {stage for stage, *_ in told} == {"initial", "finish"}
+    assert not list(tmp_path.iterdir()), "nothing to resume was left"
+
+
+def test_confidence_falls_where_images_disagree(tmp_path):
+    limb = make_limb(800)
+    outcome = run(limb.cloud, limb.skeleton, ELASTIC, silent, tmp_path)
+    _, before = learned_weights(*to_unit_size(limb.cloud, limb.skeleton))
+    assert outcome.confidence.shape == (800,)
+    assert (outcome.confidence <= before + 1e-6).all()
+    assert outcome.confidence.mean() < before.mean()
+    assert run(limb.cloud, limb.skeleton, {"init": "geodesic"}, silent, tmp_path).confidence is None
+
+
+def test_elastic_guidance_learns(tmp_path):
+    limb = make_limb(1500)
+    start = run(limb.cloud, limb.skeleton, ELASTIC, silent, tmp_path)
     report = start.report
     assert start.weights.shape == limb.weights.shape
     np.testing.assert_allclose(start.weights.sum(1), 1, atol=1e-5)
@@ -71,10 +96,10 @@ def test_the_oracle_keeps_the_order_of_the_splats(tmp_path, monkeypatch, limit):
 
 def test_result_does_not_depend_on_place_and_unit(tmp_path):
     limb = make_limb(800)
-    here = run(limb.cloud, limb.skeleton, {"preset": "draft"}, silent, tmp_path)
+    here = run(limb.cloud, limb.skeleton, ELASTIC, silent, tmp_path)
     far = replace(limb.cloud, means=limb.cloud.means * 50 + 7, scales=limb.cloud.scales * 50)
     moved = limb.skeleton.moved(np.eye(3), 50.0, (7, 7, 7))
-    there = run(far, moved, {"preset": "draft"}, silent, tmp_path / "other")
+    there = run(far, moved, ELASTIC, silent, tmp_path / "other")
     assert np.abs(here.weights - there.weights).sum(1).mean() < 0.05
 
 
@@ -84,21 +109,21 @@ def test_a_stopped_run_goes_on_and_ends_the_same(tmp_path, monkeypatch):
     limb = make_limb(800)
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
-    whole = run(limb.cloud, limb.skeleton, {"preset": "draft"}, silent, tmp_path / "a")
+    whole = run(limb.cloud, limb.skeleton, ELASTIC, silent, tmp_path / "a")
 
     def stop(stage, fraction, losses, message, left):
         if message.startswith("Iteration 9 "):
             raise Cancelled("stop")
 
     with pytest.raises(Cancelled):
-        run(limb.cloud, limb.skeleton, {"preset": "draft"}, stop, tmp_path / "b")
+        run(limb.cloud, limb.skeleton, ELASTIC, stop, tmp_path / "b")
     iterations = []
 
     def watch(stage, fraction, losses, message, left):
         if stage == "optimise":
             iterations.append(message)
 
-    resumed = run(limb.cloud, limb.skeleton, {"preset": "draft"}, watch, tmp_path / "b")
+    resumed = run(limb.cloud, limb.skeleton, ELASTIC, watch, tmp_path / "b")
     assert iterations[0].startswith("Iteration 10 ")
     np.testing.assert_array_equal(resumed.weights, whole.weights)
 
@@ -111,7 +136,7 @@ def test_strays_are_ignored_and_follow_the_body(tmp_path):
         for name in ("means", "quats", "scales", "opacities", "sh")
     ]
     both[0][800:] += (0, 0, 1.0)
-    outcome = run(type(limb.cloud)(*both), limb.skeleton, {"preset": "draft"}, silent, tmp_path)
+    outcome = run(type(limb.cloud)(*both), limb.skeleton, ELASTIC, silent, tmp_path)
     assert outcome.report["hygiene"] == {"strays": 2, "faint_giants": 0}
     assert outcome.report["splats"] == 802
     assert outcome.report["splats_optimised"] == 800
@@ -123,7 +148,7 @@ def test_needles_are_clamped_for_learning(tmp_path):
     limb = make_limb(400)
     scales = limb.cloud.scales.copy()
     scales[:7, 0] *= 50
-    settings = {"preset": "draft", "hygiene": {"max_aspect": 10, "ignore_strays": False}}
+    settings = {**ELASTIC, "hygiene": {"max_aspect": 10, "ignore_strays": False}}
     report = run(replace(limb.cloud, scales=scales), limb.skeleton, settings, silent, tmp_path).report
     assert report["hygiene"] == {"faint_giants": 0, "needles": 7}
 
@@ -131,7 +156,7 @@ def test_needles_are_clamped_for_learning(tmp_path):
 def test_the_volume_can_be_asked_for(tmp_path):
     limb = make_limb(400)
     options = {"resolution": 16, "width": 32}
-    settings = {"preset": "draft", "field": "volume", "field_options": options}
+    settings = {**ELASTIC, "field": "volume", "field_options": options}
     report = run(limb.cloud, limb.skeleton, settings, silent, tmp_path).report
     assert report["field"] == "volume"
     assert report["settings"]["field_options"] == options
@@ -139,7 +164,7 @@ def test_the_volume_can_be_asked_for(tmp_path):
 
 def test_influences_are_limited(tmp_path):
     limb = make_limb(600)
-    outcome = run(limb.cloud, limb.skeleton, {"preset": "draft", "max_influences": 2}, silent, tmp_path)
+    outcome = run(limb.cloud, limb.skeleton, {**ELASTIC, "max_influences": 2}, silent, tmp_path)
     assert (outcome.weights > 0).sum(1).max() <= 2
 
 

@@ -30,7 +30,7 @@ def test_a_job_with_a_mesh_learns_on_its_vertices(tmp_path, monkeypatch):
     verts, faces = tube(rings=37)
     folder = tmp_path / "job"
     mesh = write_mesh(folder, verts, faces)
-    settings = {"preset": "draft", "mesh": mesh}
+    settings = {"preset": "draft", "guidance": "elastic", "mesh": mesh}
     write_job(folder, limb.cloud, limb.skeleton, settings)
     job = read_job(folder)
     job.checkpoint.mkdir()

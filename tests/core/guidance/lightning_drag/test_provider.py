@@ -202,7 +202,7 @@ def test_another_checkpoint_makes_new_images(context, signals, models, tmp_path)
 
 
 def test_a_whole_job(models, tmp_path, monkeypatch):
-    monkeypatch.setitem(presets.PRESETS, "draft", presets.Preset("for tests", 1, ((64, 6),), 2))
+    monkeypatch.setitem(presets.PRESETS, "draft", presets.Preset("for tests", 1, ((64, 6),), 2, held_out=0))
     monkeypatch.setattr(job, "GUIDANCE_SIZE", 64)
     limb = make_limb(400)
     stages = []
@@ -215,7 +215,7 @@ def test_a_whole_job(models, tmp_path, monkeypatch):
     assert outcome.weights.shape == limb.weights.shape
     np.testing.assert_allclose(outcome.weights.sum(1), 1, atol=1e-5)
     assert outcome.report["guidance_images"] == 4
-    assert any(message == "Loading LightningDrag" for *_, message in stages)
+    assert any(message == "Loading LightningDrag" for _, _, _, message, *_ in stages)
 
 
 def test_a_job_without_models_says_what_to_bring(tmp_path):
