@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..core.guidance import NO_GUIDANCE
 from ..operators.auto_skin import GSKIN_OT_auto_skin, what_is_missing
 from . import progress
 from .properties import chosen_armature, chosen_splats
@@ -32,10 +33,16 @@ class GSKIN_PT_main(bpy.types.Panel):
         if settings.splats is None or settings.armature is None:
             self._draw_chosen(context, column)
         column.separator()
-        for name in ("preset", "guidance", "init", "front", "max_influences", "seed"):
-            column.prop(settings, name)
-            if name == "guidance":
-                settings.models.draw(column, settings.guidance)
+        column.prop(settings, "init")
+        column.prop(settings, "guidance")
+        settings.models.draw(column, settings.guidance)
+        # What has no effect is not shown.
+        if settings.guidance != NO_GUIDANCE:
+            column.prop(settings, "preset")
+            column.prop(settings, "seed")
+        if settings.guidance != NO_GUIDANCE or settings.init == "visibility":
+            column.prop(settings, "front")
+        column.prop(settings, "max_influences")
 
         if progress.state.job is None:
             row = layout.row()
