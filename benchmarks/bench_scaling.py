@@ -54,6 +54,8 @@ class Point:
     wall: float
     core: float
 
+SETTINGS = {"preset": "draft", "guidance": "elastic", "rasterizer": "cpu"}
+
 
 def iterations(ranges: dict[str, tuple[int, ...]], base: dict[str, int]) -> Iterator[Point]:
     """Iterations with one thing varied at a time. Above the subset's limit only the subset is learned on."""
@@ -69,11 +71,11 @@ def iterations(ranges: dict[str, tuple[int, ...]], base: dict[str, int]) -> Iter
 
 def jobs(ranges: dict[str, tuple[int, ...]], base: dict[str, int]) -> Iterator[tuple[str, int, Cost]]:
     """Whole `draft` jobs."""
-    run_job(figure(500, 20), {"preset": "draft", "rasterizer": "cpu"})  # compiles
+    run_job(figure(500, 20), SETTINGS)  # compiles
     for kind, values in ranges.items():
         for value in values:
             at = {**base, kind: value}
-            yield kind, value, run_job(figure(at["splats"], at["bones"]), {"preset": "draft", "rasterizer": "cpu"})
+            yield kind, value, run_job(figure(at["splats"], at["bones"]), SETTINGS)
 
 
 def profile(splats: int, bones: int, size: int) -> dict[str, float]:

@@ -155,8 +155,9 @@ def iteration_bars(repeats: int) -> Iterator[Bar]:
 def _jobs(preset: str, repeats: int, splats: int = SPLATS, bones: int = BONES) -> list[Cost]:
     asset = figure(splats, bones)
     # The first one may compile kernels; it does not count.
-    run_job(figure(500, bones), {"preset": "draft"})
-    return [run_job(asset, {"preset": preset, "rasterizer": "cpu"}) for _ in range(repeats)]
+    settings = {"guidance": "elastic", "rasterizer": "cpu"}
+    run_job(figure(500, bones), {**settings, "preset": "draft"})
+    return [run_job(asset, {**settings, "preset": preset}) for _ in range(repeats)]
 
 
 def _middle(costs: list[Cost], number: Callable[[Cost], float]) -> float:
@@ -171,6 +172,15 @@ def standard_bars(repeats: int) -> Iterator[Bar]:
     yield Bar("standard_seconds_in_all", _middle(costs, lambda c: c.wall), 180, core)
     yield Bar("standard_forecast_error", _middle(costs, Cost.forecast_error), 0.2)
     yield Bar("standard_peak_mb", _middle(costs, lambda c: c.peak_mb), 3000)
+
+
+def default_bars(repeats: int) -> Iterator[Bar]:
+    """The job that an artist gets who changes nothing: 50,000 splats, 30 bones."""
+    asset = figure(SPLATS, 30)
+    run_job(figure(500, 30), {})
+    costs = [run_job(asset, {}) for _ in range(repeats)]
+    yield Bar("default_seconds", _middle(costs, lambda c: c.wall), 90, _middle(costs, lambda c: c.core))
+    yield Bar("default_peak_mb", _middle(costs, lambda c: c.peak_mb), None)
 
 
 def paper_bars(repeats: int) -> Iterator[Bar]:
@@ -207,6 +217,7 @@ BARS: dict[str, Callable[[int], Iterator[Bar | str]]] = {
     "gradient": gradient_bars,
     "iteration": iteration_bars,
     "rasterizer": rasterizer_bars,
+    "default": default_bars,
     "standard": standard_bars,
     "large": large_bars,
     "gpu": gpu_bars,

@@ -64,7 +64,11 @@ class Forecast:
         return 1.0 - self.left() / whole if whole > 0 else 0.0
 
     def _speed(self) -> float:
-        """Measured over guessed seconds: the median of the kinds, as some guidance is a thousand times slower."""
+        """Measured over guessed seconds: the median of the kinds, as some guidance is a thousand times slower.
+
+        Kinds that were only tried out count where there are no others: iterations vary in ways of their own.
+        """
         known = [work for work in self._work.values() if work.measured and work.guess]
+        known = [work for work in known if work.done] or known
         ratios = [work.seen / work.measured / work.guess for work in known]
         return median(ratios) if ratios else 1.0

@@ -43,16 +43,52 @@ class Learned:
     query: Callable[[NDArray[Any]], Any] | None = None
 
 
-def learn(
+def rehearse(
     chosen: JobSettings,
     subset: SplatSubset,
     proxy: Proxy | None,
+    skeleton: Skeleton,
+    cameras: Sequence[Camera],
+    rest_images: Sequence[NDArray[np.uint8]],
+    losses: LossWeights,
+    rasterizer: str,
+    course: Course,
+) -> Poser:
+    """Find out at the very start what an iteration costs, with equal weights; returns the poser, for `learn`.
+
+    rest_images: the subset from each of the cameras.
+    """
+    preset = preset_by_name(chosen.preset)
+    course.say("prepare", "Trying out an iteration")
+    if proxy is None:
+        poser: Poser = SplatPoser(subset.cloud, losses.arap_neighbours)
+    else:
+        poser = proxy.poser(subset, losses.arap_neighbours)
+    equal = np.full((len(poser.nodes), skeleton.count), 1 / skeleton.count, np.float32)
+    weight_field = create_field(_field_name(chosen), poser.nodes, equal, chosen.field_options)
+    signals = make_signals(skeleton, list(cameras), 1, np.random.default_rng(chosen.seed))
+    at_rest = [Target(s.camera, s.transforms, rest_images[s.view]) for s in signals]
+    trial = Optimiser(
+        subset.cloud, skeleton, weight_field, at_rest, preset, poser=poser, losses=losses, rasterizer=rasterizer
+    )
+    try_out(trial, course)
+    course.end_stage("prepare")
+    return poser
+
+
+def _field_name(chosen: JobSettings) -> str:
+    return preset_by_name(chosen.preset).field if chosen.field == PRESET_FIELD else chosen.field
+
+
+def learn(
+    chosen: JobSettings,
+    subset: SplatSubset,
+    poser: Poser,
     skeleton: Skeleton,
     nodes: NDArray[np.float32],
     initial: NDArray[np.float32],
     trust: NDArray[np.float32] | None,
     cameras: Sequence[Camera],
-    rest_images: Sequence[NDArray[np.uint8]],
     losses: LossWeights,
     rasterizer: str,
     course: Course,
@@ -60,20 +96,15 @@ def learn(
 ) -> Learned:
     """Weights of the nodes from the images of the job's guidance.
 
-    nodes (M, B): their initial weights; initial (S, B): those of the subset's splats; trust (M,): confidence in
-    the nodes' initial weights, or None; rest_images: the subset from each of the cameras.
+    poser: from `rehearse`; nodes (M, B): its nodes' initial weights; initial (S, B): those of the subset's splats;
+    trust (M,): confidence in the nodes' initial weights, or None.
     """
     preset = preset_by_name(chosen.preset)
     course.say("guidance", "Distances through the body")
     distances = body_distances(subset.cloud, skeleton)
     course.did("distances")
-    field_name = preset.field if chosen.field == PRESET_FIELD else chosen.field
-    if proxy is None:
-        poser: Poser = SplatPoser(subset.cloud, losses.arap_neighbours)
-        weight_field = create_field(field_name, subset.cloud.means, nodes, chosen.field_options)
-    else:
-        poser = proxy.poser(subset, losses.arap_neighbours)
-        weight_field = create_field(field_name, proxy.verts, nodes, chosen.field_options)
+    field_name = _field_name(chosen)
+    weight_field = create_field(field_name, poser.nodes, nodes, chosen.field_options)
     context = GuidanceContext(
         subset.cloud,
         skeleton,
@@ -99,9 +130,6 @@ def learn(
         seed=chosen.seed,
         rasterizer=rasterizer,
     )
-    at_rest = [Target(s.camera, s.transforms, rest_images[s.view]) for s in signals[:: preset.poses_per_view]]
-    try_out(begin(at_rest, preset), course)
-    course.end_stage("prepare")
     targets = make_guidance(create_provider(chosen.guidance, context), [*signals, *unseen], course)
     course.end_stage("guidance")
 

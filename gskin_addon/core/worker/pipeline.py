@@ -29,7 +29,7 @@ from ..skinning.views import SEEN
 from ..splats.cloud import SplatCloud
 from ..splats.hygiene import Hygiene
 from .course import Course
-from .guided import Learned, learn
+from .guided import Learned, learn, rehearse
 from .learning import work
 from .previews import preview_images
 from .progress import Progress
@@ -85,9 +85,13 @@ def run(
     proxy = Proxy.load(checkpoint.parent / chosen.mesh, cloud) if chosen.mesh else None
     course.did("initial")
 
-    course.say("initial", "Initial weights")
     rest_pictures = [render_cloud(subset.cloud, camera) for camera in cameras]
     masks = np.stack([alpha > 0.5 for _, alpha in rest_pictures])
+    if guided:
+        rest_images = [to_bytes(image) for image, _ in rest_pictures]
+        poser = rehearse(chosen, subset, proxy, skeleton, cameras, rest_images, losses, rasterizer, course)
+    del rest_pictures
+    course.say("initial", "Initial weights")
     given = (skeleton, masks, cameras, chosen.init_options)
     if proxy is None:
         initial_whole, sure = initial_with_confidence(chosen.init, whole, *given)
@@ -103,10 +107,8 @@ def run(
     if guided:
         initial = nodes if proxy is None else initial_whole[subset.index]
         learned = learn(
-            chosen, subset, proxy, skeleton, nodes, initial, trust, cameras,
-            [to_bytes(image) for image, _ in rest_pictures], losses, rasterizer, course, checkpoint,
-        )  # fmt: skip
-    del rest_pictures
+            chosen, subset, poser, skeleton, nodes, initial, trust, cameras, losses, rasterizer, course, checkpoint
+        )
 
     course.say("finish", "Weights of all splats")
     mesh_weights = None

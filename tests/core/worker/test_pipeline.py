@@ -178,7 +178,7 @@ def test_influences_are_limited(tmp_path):
         ({"max_influences": -1}, "max_influences"),
         ({"sed": 3}, "unknown settings sed"),
         ({"field": "grid"}, "field is 'grid'"),
-        ({"field_options": {"size": 3}}, "no option size"),
+        ({**ELASTIC, "field_options": {"size": 3}}, "no option size"),
         ({"hygiene": {"strays": True}}, "no option strays"),
         ({"losses": {"arp": 1}}, "no option arp"),
         ({"losses": {"arap": -1}}, "arap is -1; use a number from 0"),
