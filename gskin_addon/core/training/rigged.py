@@ -42,10 +42,22 @@ class Asset:
 
 
 @dataclass(frozen=True)
+class Surface:
+    """The mesh that splats were sampled from: verts (V, 3), faces (F, 3), and the triangle (N,) and barycentric
+    coordinates (N, 3) of every splat."""
+
+    verts: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    face: NDArray[np.int64]
+    bary: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class RiggedSplats:
     """A cloud, its skeleton, and what an artist made of them.
 
-    weights (N, B) float32, rows sum to 1; clip (A, B, 4, 4) deform transforms of an animation, or None.
+    weights (N, B) float32, rows sum to 1; clip (F, B, 4, 4) deform transforms of an animation, or None; surface: the
+    mesh that the splats were sampled from, where there was one.
     """
 
     name: str
@@ -53,6 +65,7 @@ class RiggedSplats:
     skeleton: Skeleton
     weights: NDArray[np.float32]
     clip: NDArray[np.float64] | None
+    surface: Surface | None = None
 
 
 def list_assets(folder: Path, *, any_licence: bool = False) -> list[Asset]:
@@ -80,17 +93,19 @@ def list_assets(folder: Path, *, any_licence: bool = False) -> list[Asset]:
     return found
 
 
-def load_asset(path: Path, count: int, seed: int = 0) -> RiggedSplats:
+def load_asset(path: Path, count: int, seed: int = 0, *, unused_bones: bool = False) -> RiggedSplats:
     """Read an asset and cover its surface with `count` splats.
 
-    Bones that carry no weight (control bones) are left out; their children hang on the next used ancestor.
+    Bones that carry no weight (control bones) are left out unless `unused_bones`; their children hang on the next
+    used ancestor.
 
     Raises:
         InputError: the file is missing, damaged, or has no surface or no weights.
     """
     data = _read(path)
     verts, faces = data["verts"].astype(np.float64), data["faces"]
-    order, parents = _used_bones(data["bone_used"], data["bone_parent"].astype(int))
+    used = np.ones_like(data["bone_used"]) if unused_bones else data["bone_used"]
+    order, parents = _used_bones(used, data["bone_parent"].astype(int))
     if not order:
         raise InputError(f"'{path}' has no bone that carries weights; leave the asset out.")
     cloud, face, bary = sample_mesh(
@@ -108,7 +123,8 @@ def load_asset(path: Path, count: int, seed: int = 0) -> RiggedSplats:
         rest=data["bone_rest"][order].astype(np.float64),
     )
     clip = data["anim_mats"][:, order].astype(np.float64) if "anim_mats" in data else None
-    return RiggedSplats(path.stem, cloud, skeleton, weights.astype(np.float32), clip)
+    surface = Surface(verts, faces.astype(np.int64), face, bary)
+    return RiggedSplats(path.stem, cloud, skeleton, weights.astype(np.float32), clip, surface)
 
 
 def _entries(catalog: Path) -> list[dict[str, Any]]:

@@ -12,12 +12,17 @@ from gskin_addon.core.worker.forecast import Forecast
 from gskin_addon.core.worker.learning import TRIALS, work
 
 # Seconds for each piece: an easy job, one whose pictures are slow, one whose large images are slow, a slow machine.
+_EASY = {
+    "initial": 1.5, "distances": 0.5, "guidance": 0.1, "look": 1.0, 256: 0.05, 512: 0.12, "check": 0.1, "finish": 1.0,
+}  # fmt: skip
 COSTS = {
-    "even": {"initial": 1.5, "distances": 0.5, "guidance": 0.1, "look": 1.0, 256: 0.05, 512: 0.12, "check": 0.1, "finish": 1.0},
-    "slow guidance": {"initial": 1.5, "distances": 0.5, "guidance": 9.0, "look": 1.0, 256: 0.05, 512: 0.12, "check": 0.1, "finish": 1.0},
-    "steep in size": {"initial": 1.5, "distances": 0.5, "guidance": 0.05, "look": 0.4, 256: 0.03, 512: 0.4, "check": 0.4, "finish": 2.0},
-    "many bones": {"initial": 6.0, "distances": 6.0, "guidance": 0.6, "look": 5.0, 256: 0.9, 512: 1.5, "check": 0.5, "finish": 9.0},
-}
+    "even": _EASY,
+    "slow guidance": {**_EASY, "guidance": 9.0},
+    "steep in size": {**_EASY, "guidance": 0.05, "look": 0.4, 256: 0.03, 512: 0.4, "check": 0.4, "finish": 2.0},
+    "many bones": {
+        "initial": 6.0, "distances": 6.0, "guidance": 0.6, "look": 5.0, 256: 0.9, 512: 1.5, "check": 0.5, "finish": 9.0,
+    },
+}  # fmt: skip
 
 
 def cost(kind, table):
