@@ -23,13 +23,15 @@ def splat_color(tree: Tree, sampled: Sampled, show_bones: Any, show_confidence: 
     base = sampled(names.BASE, "FLOAT_COLOR")
     inputs = {"Switch": show_bones, "False": _captured(tree, base), "True": _by_bones(tree, sampled)}
     srgb = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="VECTOR")
-    unsure = tree.math("SUBTRACT", 1.0, sampled(names.CONFIDENCE, "FLOAT"))
-    inputs = {"Switch": show_confidence, "False": srgb, "True": _heat(tree, unsure)}
-    srgb = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="VECTOR")
+    # One more switch of colours would cost every frame; what is shown as heat is chosen by its name instead.
+    inputs = {"Switch": show_confidence, "False": show_weights_of, "True": names.CONFIDENCE}
+    heat_of = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="STRING")
     named = tree.out(
-        "FunctionNodeCompare", "Result", {"A": show_weights_of, "B": ""}, data_type="STRING", operation="NOT_EQUAL"
+        "FunctionNodeCompare", "Result", {"A": heat_of, "B": ""}, data_type="STRING", operation="NOT_EQUAL"
     )
-    inputs = {"Switch": named, "False": srgb, "True": _heat(tree, sampled(show_weights_of, "FLOAT"))}
+    # Doubt is hot: 1 - confidence.
+    heat = tree.math("ABSOLUTE", tree.math("SUBTRACT", sampled(heat_of, "FLOAT"), show_confidence))
+    inputs = {"Switch": named, "False": srgb, "True": _heat(tree, heat)}
     srgb = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="VECTOR")
     alpha = tree.output(tree.node("FunctionNodeSeparateColor", {"Color": base}), "Alpha")
     return _linear(tree, srgb, alpha)

@@ -95,6 +95,7 @@ def rigged(files, tmp_path_factory):
     weights = out.with_name("w.npz")
     command = [sys.executable, "-m", "gskin_addon.cli", "rig", str(files / "rod.ply"), "--weights", str(weights)]
     command += ["--armature", str(files / "rig.blend"), "--out", str(out), "--preset", "draft", "--progress", "json"]
+    command += ["--guidance", "elastic"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=240)
     assert done.returncode == 0, done.stderr
     return out, weights, done

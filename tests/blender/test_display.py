@@ -204,12 +204,18 @@ def test_rendering_draws_the_pose(studio, tmp_path):
 
 
 def test_posing_with_display_stays_fluent():
-    """100,000 splats drawn, 50 bones: 60 ms a pose on two cores."""
+    """100,000 splats, 50 bones: drawing them makes a pose about four times as dear, whatever the machine's day.
+
+    Seconds belong to docs/benchmarks.md: the same code took 0.06 and 0.14 s of processor time on two days.
+    """
     rng = np.random.default_rng(1)
     cloud = clouds.random_cloud(100_000, 0)
     obj, armature = create_splat_object(cloud, "S"), rigs.make_chains(50, rng)
     write_weights(obj, armature, rigs.random_weights(cloud, 50, rng))
     rigs.random_pose(armature, rng)
-    cost = rigs.pose_change_cost(armature, "bone.020")
-    print(f"one pose change, 100,000 splats drawn: {cost:.3f} s of processor time")
-    assert cost < 2 * 0.06
+    set_display(obj, "Display", False)
+    bare = rigs.pose_change_cost(armature, "bone.020")
+    set_display(obj, "Display", True)
+    drawn_too = rigs.pose_change_cost(armature, "bone.020")
+    print(f"one pose change, 100,000 splats: {bare:.3f} s of processor time, drawn {drawn_too:.3f} s")
+    assert drawn_too < 7 * bare
