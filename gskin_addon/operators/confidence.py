@@ -8,7 +8,7 @@ import bpy
 from ..core.errors import GSkinError
 from ..scene import names
 from ..scene.attributes import read_attribute
-from ..scene.hygiene import select_splats
+from ..scene.hygiene import begin_selecting, show_selected
 from ..ui.properties import chosen_splats
 
 
@@ -39,16 +39,12 @@ class GSKIN_OT_select_unsure_splats(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         obj = chosen_splats(context)
         try:
-            context.view_layer.objects.active = obj
-            if obj.mode != "OBJECT":
-                bpy.ops.object.mode_set(mode="OBJECT")
+            begin_selecting(context, obj)
             unsure = read_attribute(obj.data, names.CONFIDENCE) < self.below
-            select_splats(obj, unsure)
+            show_selected(context, obj, unsure)
         except GSkinError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        context.tool_settings.mesh_select_mode = (True, False, False)
-        bpy.ops.object.mode_set(mode="EDIT")
         self.report({"INFO"}, f"{unsure.sum():,} of {len(unsure):,} splats are less sure than {self.below:.2f}")
         return {"FINISHED"}
 

@@ -6,7 +6,14 @@ from __future__ import annotations
 import bpy
 
 from ..core.errors import GSkinError
-from ..scene.hygiene import find_bad_splats, put_aside, remove_splats, reshape_splats, select_splats
+from ..scene.hygiene import (
+    begin_selecting,
+    find_bad_splats,
+    put_aside,
+    remove_splats,
+    reshape_splats,
+    show_selected,
+)
 from ..scene.splat_object import splat_count
 from ..ui.properties import chosen_splats
 
@@ -46,18 +53,14 @@ class GSKIN_OT_select_bad_splats(_Finder, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         obj = chosen_splats(context)
         try:
-            context.view_layer.objects.active = obj
-            if obj.mode != "OBJECT":
-                bpy.ops.object.mode_set(mode="OBJECT")
+            begin_selecting(context, obj)
             bad, counts = find_bad_splats(
                 obj, strays=self.strays, faint_giants=self.faint_giants, needle_ratio=self.needle_ratio
             )
-            select_splats(obj, bad)
+            show_selected(context, obj, bad)
         except GSkinError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        context.tool_settings.mesh_select_mode = (True, False, False)
-        bpy.ops.object.mode_set(mode="EDIT")
         self.report({"INFO"}, _sentence(counts, splat_count(obj), "selected"))
         return {"FINISHED"}
 

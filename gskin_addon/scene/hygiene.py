@@ -39,6 +39,20 @@ def select_splats(obj: bpy.types.Object, mask: Mask) -> None:
     obj.data.update()
 
 
+def begin_selecting(context: bpy.types.Context, obj: bpy.types.Object) -> None:
+    """Make `obj` active and leave Edit Mode, where its splats can neither be read nor selected."""
+    context.view_layer.objects.active = obj
+    if obj.mode != "OBJECT":
+        bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def show_selected(context: bpy.types.Context, obj: bpy.types.Object, mask: Mask) -> None:
+    """Select exactly the splats of `mask` (N,) of the active object and enter Edit Mode on its points."""
+    select_splats(obj, mask)
+    context.tool_settings.mesh_select_mode = (True, False, False)
+    bpy.ops.object.mode_set(mode="EDIT")
+
+
 def put_aside(obj: bpy.types.Object, mask: Mask) -> bpy.types.Object:
     """Move the splats of `mask` (N,) to a hidden object of their own; Join brings them back."""
     refuse_edit_mode(obj)
