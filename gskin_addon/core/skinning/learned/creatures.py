@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +11,9 @@ from numpy.typing import NDArray
 
 from ...rig.skeleton import Skeleton
 from ...splats.cloud import SH_C0, SplatCloud
+from . import clothes, things
 from .flesh import Plan, cover_with_splats
+from .things import random_color as _color
 
 if TYPE_CHECKING:
     from .examples import Subject
@@ -18,12 +21,16 @@ if TYPE_CHECKING:
 Array = NDArray[Any]
 
 
-def generate(rng: np.random.Generator) -> Subject:
-    """A random creature, about 2 units large, with 4000 to 6000 splats and weights that follow a rule."""
+def generate(rng: np.random.Generator, grow: Callable[[Plan], None] | None = None) -> Subject:
+    """A random creature, about 2 units large, with up to 6000 splats and weights that follow a rule.
+
+    grow: one of `KINDS`; drawn where left out.
+    """
     from .examples import Subject
 
     plan = Plan(rng)
-    [_biped, _quadruped, _crawler, _swimmer, _biped, _quadruped][rng.integers(6)](plan)
+    kinds, often = zip(*KINDS, strict=True)
+    (grow or kinds[rng.choice(len(kinds), p=np.array(often) / sum(often))])(plan)
     names = tuple(f"{i}" for i in range(len(plan.parents)))
     skeleton = Skeleton(names, np.array(plan.parents), np.array(plan.heads), np.array(plan.tails))
     points, colors, weights = cover_with_splats(plan, skeleton, int(rng.integers(4000, 6000)))
@@ -37,10 +44,6 @@ def generate(rng: np.random.Generator) -> Subject:
         ((colors - 0.5) / SH_C0)[:, None].astype(np.float32),
     )
     return Subject(cloud, skeleton, weights.astype(np.float32), np.ones(count, bool))
-
-
-def _color(rng: np.random.Generator) -> Array:
-    return rng.uniform(0.05, 0.95, 3)
 
 
 def _head(plan: Plan, parent: int, at: Array, way: Array, size: float, color: Array) -> int:
@@ -74,6 +77,8 @@ def _head(plan: Plan, parent: int, at: Array, way: Array, size: float, color: Ar
         top, hue = at + way * 2.0 * size, _color(rng)
         plan.cover(head, rng.uniform(0.6, 1.3) * size, rng.uniform(0.2, 0.8) * size, hue,
                    segment=(top, top + way * rng.uniform(0.3, 1.2) * size), rigid=True)  # fmt: skip
+    if rng.random() < 0.3:
+        clothes.hair(plan, head, middle + np.array([0.0, 0.7 * size, 0.4 * size]), size)
     return head
 
 
@@ -82,8 +87,7 @@ def _carried(plan: Plan, bones: list[int], size: float) -> None:
     rng = plan.rng
     for bone in bones:
         if rng.random() < 0.35:
-            way = rng.normal(size=3)
-            way /= np.linalg.norm(way)
+            way = things.direction(rng)
             middle = plan.tails[bone] + way * size * rng.uniform(0, 0.8)
             reach = way * size * rng.uniform(0.3, 2.5)
             flat = np.cross(way, rng.normal(size=3))
@@ -148,7 +152,9 @@ def _biped(plan: Plan) -> None:
     spine = _spine(plan, hip, np.array([0.0, 0.0, 1.0]), tall, stout, color)
     top = plan.tails[spine[-1]]
     tips: list[int] = []
+    first = len(plan.parents)
     _legs(plan, spine[0], hip + [0.6 * stout, 0, 0], hip[2], stout * rng.uniform(0.35, 0.6), trousers, tips)
+    legs = list(range(first, len(plan.parents)))
     size, neck = rng.uniform(0.12, 0.35), spine[-1]
     if rng.random() < 0.7:
         neck = plan.chain(neck, top, np.array([0.0, 0, 1.0]), np.array([0.12]), 0.4 * size, 1.0, color, bend=0)[0]
@@ -176,6 +182,27 @@ def _biped(plan: Plan) -> None:
     if rng.random() < 0.2:
         _wings(plan, spine[-1], top + [0.3 * stout, stout, -0.1], rng.uniform(0.4, 1.0), color)
     _carried(plan, [tips[-1], head, spine[-1]], rng.uniform(0.15, 0.35))
+    _dressed(plan, spine, legs, top, hip, tall, stout)
+    for tip in tips[-2:]:
+        if rng.random() < 0.25:
+            clothes.weapon(plan, tip, rng.uniform(0.4, 0.9))
+
+
+def _dressed(
+    plan: Plan, spine: list[int], legs: list[int], top: Array, hip: Array, tall: float, stout: float
+) -> None:  # fmt: skip
+    rng = plan.rng
+    if rng.random() < 0.25:
+        clothes.skirt(plan, spine[0], hip + [0, 0, 0.1], hip[2] * rng.uniform(0.3, 0.95), stout, legs)
+    if rng.random() < 0.15:
+        clothes.cape(plan, spine[-1], top + [0, stout, 0], tall * rng.uniform(0.6, 1.6), stout)
+    if rng.random() < 0.2:
+        clothes.bag(plan, spine[-1], top - [0, 0, 0.4 * tall], stout)
+    for bone in range(spine[-1] + 1, len(plan.parents)):
+        if rng.random() < 0.06:
+            covered = [part.r0 for part in plan.flesh if part.bone == bone and not part.rigid]
+            if covered:
+                clothes.pads(plan, bone, max(covered))
 
 
 def _quadruped(plan: Plan) -> None:
@@ -241,3 +268,10 @@ def _swimmer(plan: Plan) -> None:
             plan.cover(bone, 0.4 * stout, 0.3 * stout, hue, flat=flat, thin=0.2)
 
         plan.limbs(fin)
+
+
+KINDS = (
+    (_biped, 4.0), (_quadruped, 2.5), (_crawler, 1.5), (_swimmer, 1.5), (things.machine, 1.5), (things.plant, 1.0),
+    (things.fellow, 1.2), (things.banner, 0.6), (things.hand, 0.6),
+)  # fmt: skip
+"""What grows, and how often relative to the others."""

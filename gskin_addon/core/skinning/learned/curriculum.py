@@ -16,7 +16,7 @@ from .training import CREATURES, Syllabus
 PER_FAMILY = 14
 """Lessons of a family, times the square root of its number of assets: large families have many alike."""
 
-CREATURE_LESSONS = 120
+CREATURE_LESSONS = 480
 
 NEVER = ("OpenDungeons",)
 """Families that no model of ours sees: mostly share-alike works, and the test of the shipped model."""

@@ -25,7 +25,7 @@ from .parts import neighbourhoods
 Array = NDArray[Any]
 
 ROWS = 500
-VERSION = 1
+VERSION = 2
 """Of the lesson files; other versions are made anew."""
 
 

@@ -11,7 +11,9 @@ import torch
 
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.rig.lbs import skin_points
+from gskin_addon.core.rig.skeleton import Skeleton
 from gskin_addon.core.skinning.learned import creatures, rig_changes
+from gskin_addon.core.skinning.learned.flesh import Plan, cover_with_splats
 from gskin_addon.core.skinning.learned.lessons import Lesson, make_lesson, posed_lesson
 from gskin_addon.core.skinning.learned.network import make_batch
 from gskin_addon.core.skinning.learned.training import Schedule, Syllabus, Trainer, posed_error
@@ -117,15 +119,33 @@ def test_changed_skeletons_keep_the_weights_whole():
         np.testing.assert_allclose(after.sum(axis=1), 1, atol=1e-5)
 
 
-def test_creatures_differ_and_are_whole():
+@pytest.mark.parametrize("grow", [grow for grow, _ in creatures.KINDS])
+def test_creatures_differ_and_are_whole(grow):
     sizes = set()
-    for seed in range(8):
-        subject = creatures.generate(np.random.default_rng(seed))
+    for seed in range(4):
+        subject = creatures.generate(np.random.default_rng(seed), grow)
         subject.skeleton.validate()
-        assert 3500 < subject.cloud.count < 6000
+        assert 2000 < subject.cloud.count < 6000
         np.testing.assert_allclose(subject.weights.sum(axis=1), 1, atol=1e-5)
+        assert (subject.weights.max(axis=0) > 0.5).sum() >= min(2, subject.skeleton.count)
         sizes.add((subject.skeleton.count, subject.cloud.count))
-    assert len(sizes) == 8
+    assert len(sizes) == 4
+
+
+def test_what_drapes_follows_its_bone_above_and_the_nearest_below():
+    """A skirt of one hip and two legs: all hip at the waist, half of it the own side's leg at the hem."""
+    plan = Plan(np.random.default_rng(0))
+    hip = plan.bone(-1, np.array([0, 0, 1.0]), np.array([0, 0, 1.2]))
+    legs = [plan.bone(hip, np.array([x, 0, 1.0]), np.array([x, 0, 0.0])) for x in (-0.2, 0.2)]
+    span = (np.array([0, 0, 1.0]), np.array([0, 0, 0.2]))
+    plan.cover(hip, 0.3, 0.5, np.ones(3), segment=span, drape=tuple(legs), sag=0.5)
+    skeleton = Skeleton(("hip", "left", "right"), np.array(plan.parents), np.array(plan.heads), np.array(plan.tails))
+    points, _, weights = cover_with_splats(plan, skeleton, 3000)
+    np.testing.assert_allclose(weights.sum(axis=1), 1)
+    high, low, left = points[:, 2] > 1, points[:, 2] < 0.2, points[:, 0] < -0.1
+    np.testing.assert_allclose(weights[high, 0], 1)
+    np.testing.assert_allclose(weights[low, 0], 0.5)
+    assert weights[low & left, 1].min() > weights[low & left, 2].max()
 
 
 def test_an_interrupt_never_leaves_half_a_step(syllabus, monkeypatch):
