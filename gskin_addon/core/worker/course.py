@@ -34,7 +34,7 @@ class Course:
         """`pieces` of a kind are done, in the time since the last piece of any kind."""
         self.forecast.did(kind, self._lap(), pieces)
 
-    def tried(self, kind: str, pieces: int = 1) -> None:
+    def tried(self, kind: str, pieces: float = 1) -> None:
         """As `did`, but the work was only to measure and has still to be done."""
         self.forecast.tried(kind, self._lap(), pieces)
 

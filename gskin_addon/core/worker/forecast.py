@@ -36,7 +36,7 @@ class Forecast:
         """kinds: name -> (pieces, guessed seconds for each)."""
         self._work = {name: Work(pieces, guess) for name, (pieces, guess) in kinds.items()}
 
-    def tried(self, kind: str, seconds: float, pieces: int = 1) -> None:
+    def tried(self, kind: str, seconds: float, pieces: float = 1) -> None:
         """A measure of `pieces` pieces that do not count as done."""
         work = self._work[kind]
         work.seen += seconds

@@ -19,6 +19,7 @@ from ..render.camera import Camera
 from ..rig.skeleton import Skeleton
 from ..skinning.fields import create_field
 from ..skinning.geodesic import body_distances
+from ..skinning.initial import initial_weights
 from ..skinning.losses import LossWeights
 from ..skinning.optimise import Optimiser
 from ..skinning.posers import Poser, SplatPoser
@@ -48,30 +49,34 @@ def rehearse(
     subset: SplatSubset,
     proxy: Proxy | None,
     skeleton: Skeleton,
+    masks: NDArray[np.bool_],
     cameras: Sequence[Camera],
     rest_images: Sequence[NDArray[np.uint8]],
     losses: LossWeights,
     rasterizer: str,
     course: Course,
 ) -> Poser:
-    """Find out at the very start what an iteration costs, with equal weights; returns the poser, for `learn`.
+    """Find out at the very start what an iteration costs, with the paper's initial weights, which take no time;
+    returns the poser, for `learn`.
 
-    rest_images: the subset from each of the cameras.
+    masks and rest_images: the subset from each of the cameras.
     """
     preset = preset_by_name(chosen.preset)
     course.say("prepare", "Trying out an iteration")
+    rough: NDArray[np.float32]
     if proxy is None:
         poser: Poser = SplatPoser(subset.cloud, losses.arap_neighbours)
+        rough = initial_weights("visibility", subset.cloud, skeleton, masks, cameras)
     else:
         poser = proxy.poser(subset, losses.arap_neighbours)
-    equal = np.full((len(poser.nodes), skeleton.count), 1 / skeleton.count, np.float32)
-    weight_field = create_field(_field_name(chosen), poser.nodes, equal, chosen.field_options)
+        rough, _ = proxy.initial("visibility", subset.cloud, skeleton, masks, cameras, {})
+    weight_field = create_field(_field_name(chosen), poser.nodes, rough, chosen.field_options)
     signals = make_signals(skeleton, list(cameras), 1, np.random.default_rng(chosen.seed))
     at_rest = [Target(s.camera, s.transforms, rest_images[s.view]) for s in signals]
     trial = Optimiser(
         subset.cloud, skeleton, weight_field, at_rest, preset, poser=poser, losses=losses, rasterizer=rasterizer
     )
-    try_out(trial, course)
+    try_out(trial, course, len(cameras) * preset.poses_per_view)
     course.end_stage("prepare")
     return poser
 

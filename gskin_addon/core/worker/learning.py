@@ -35,10 +35,13 @@ def work(preset: Preset, views: int, splats: int, bones: int, guided: bool = Tru
     size = splats / 50_000
     images = views * preset.poses_per_view
     looks, first = look_schedule(preset, images) if splats >= PRUNE_FROM else (), 0
-    kinds, finish = {"initial": (2, 1.0 + size)}, {"finish": (1, 1.0 * size)}
+    kinds = {"splats": (1, 0.1 * size), "initial": (1, 0.3 + 0.8 * size)}
+    finish = {"finish": (1, 0.8 * size)}
     if not guided:
         return kinds | finish
-    kinds |= {"distances": (1, 0.5 * size), "guidance": (images + views * preset.held_out, 0.05 * (0.5 + size))}
+    wanted = images + views * preset.held_out
+    kinds |= {"distances": (1, 0.5 * size), "first image": (1, 0.2 + size)}
+    kinds |= {"guidance": (wanted - 1, 0.03 * (0.8 + size))}
     for size_px, iterations in preset.stages:
         stage = range(first, first + iterations)
         first += iterations
@@ -65,14 +68,18 @@ def _check_at(preset: Preset) -> frozenset[int]:
     return frozenset(np.linspace(0, preset.iterations, CHECKS + 1).round().astype(int)[1:].tolist())
 
 
-def try_out(optimiser: Optimiser, course: Course) -> None:
-    """Measure what an iteration costs at each size, before anything is learned."""
+def try_out(optimiser: Optimiser, course: Course, images: int) -> None:
+    """Measure what an iteration costs at each size, before anything is learned.
+
+    images: how many the run will look at, where the optimiser at hand has fewer.
+    """
+    scale = images / len(optimiser.targets)
     for size in dict.fromkeys(size for size, _ in optimiser.preset.stages):
         optimiser.try_out(size)  # loads the kernels
         course.rest()
         if optimiser.looks:
             optimiser.look(size)
-            course.tried(_look(size))
+            course.tried(_look(size), 1 / scale)
         for _ in range(TRIALS):
             optimiser.try_out(size)
             course.tried(_learn(size))
@@ -83,7 +90,8 @@ def make_guidance(provider: Any, signals: Sequence[ControlSignal], course: Cours
     images = provider.images(signals)
     for number, signal in enumerate(signals):
         targets.append(Target(signal.camera, signal.transforms, next(images)))
-        course.did("guidance")
+        # The first one waits for whatever the provider must load or work out beforehand.
+        course.did("guidance" if number else "first image")
         course.say("guidance", f"Guidance image {number + 1} of {len(signals)}")
     return targets
 

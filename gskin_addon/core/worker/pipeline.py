@@ -83,13 +83,15 @@ def run(
     subset = choose_subset(shaped, chosen.seed, ignored=ignored, seen=partial(_seen_at_rest, shaped, cameras))
     del shaped
     proxy = Proxy.load(checkpoint.parent / chosen.mesh, cloud) if chosen.mesh else None
-    course.did("initial")
+    course.did("splats")
 
     rest_pictures = [render_cloud(subset.cloud, camera) for camera in cameras]
     masks = np.stack([alpha > 0.5 for _, alpha in rest_pictures])
     if guided:
         rest_images = [to_bytes(image) for image, _ in rest_pictures]
-        poser = rehearse(chosen, subset, proxy, skeleton, cameras, rest_images, losses, rasterizer, course)
+        poser = rehearse(
+            chosen, subset, proxy, skeleton, masks, cameras, rest_images, losses, rasterizer, course
+        )
     del rest_pictures
     course.say("initial", "Initial weights")
     given = (skeleton, masks, cameras, chosen.init_options)
