@@ -18,8 +18,8 @@ _COUNTS = {"arap_neighbours": 1, "coupling_neighbours": 1, "arap_nodes": 0}
 class LossWeights:
     """Factors of Eq. 9. ARAP is counted relative to the mean squared edge, coupling in the unit diagonal.
 
-    Both are thereby free of the asset's scale; the paper does not state its w_a, w_c and K_2.
-    `benchmarks/sweep_losses.py` compares others with these.
+    Both are thereby free of the asset's scale. The paper has K_1 = 30 and does not state its w_a, w_c and K_2; these
+    here are the best of a sweep (`benchmarks/sweep_losses.py`, docs/benchmarks.md).
 
     arap, coupling: w_a, w_c; dssim: share of D-SSIM beside L1, 0 to 1; anchor: of the divergence from the initial
     weights; arap_neighbours, coupling_neighbours: K_1, K_2; arap_nodes: nodes drawn for ARAP in each iteration, 0
@@ -27,10 +27,10 @@ class LossWeights:
     """
 
     arap: float = 0.02
-    coupling: float = 20.0
+    coupling: float = 10.0
     dssim: float = 0.2
-    anchor: float = 0.0
-    arap_neighbours: int = 30
+    anchor: float = 0.0001
+    arap_neighbours: int = 10
     coupling_neighbours: int = 8
     arap_nodes: int = 2000
 

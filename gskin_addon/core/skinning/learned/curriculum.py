@@ -16,8 +16,6 @@ from .training import CREATURES, Syllabus
 PER_FAMILY = 14
 """Lessons of a family, times the square root of its number of assets: large families have many alike."""
 
-CREATURE_LESSONS = 480
-
 NEVER = ("OpenDungeons",)
 """Families that no model of ours sees: mostly share-alike works, and the test of the shipped model."""
 
@@ -52,7 +50,7 @@ class Request:
 
 
 def plan(
-    entries: Sequence[dict[str, Any]], folder: Path, leave_out: Iterable[str], creatures: int = CREATURE_LESSONS
+    entries: Sequence[dict[str, Any]], folder: Path, leave_out: Iterable[str], creatures: int
 ) -> list[Request]:
     """The lessons of all families that may be learned from; what is the same in every fold comes out the same."""
     families: dict[str, list[dict[str, Any]]] = {}
