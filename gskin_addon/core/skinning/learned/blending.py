@@ -103,7 +103,7 @@ def _nearness(skeleton: Skeleton, points: Array, bones: Array, power: float) -> 
 def _heat(plan: Plan, skeleton: Skeleton, points: Array, part: Array, kin: Array, strength: float) -> Array:
     """Heat equilibrium over a graph of some points, each heated by the nearest of its kin (Baran & Popovic 2007)."""
     from scipy import sparse
-    from scipy.sparse.linalg import spsolve
+    from scipy.sparse.linalg import splu
     from scipy.spatial import cKDTree
 
     bone = np.array([flesh.bone for flesh in plan.flesh])[part]
@@ -122,8 +122,10 @@ def _heat(plan: Plan, skeleton: Skeleton, points: Array, part: Array, kin: Array
     source, closest = distance.argmin(axis=1), distance.min(axis=1)
     handle = strength * mass / closest**2
     system = sparse.diags(np.asarray(links.sum(axis=1)).ravel() + handle) - links
-    heat = spsolve(system.tocsc(), sparse.csc_matrix((handle, (np.arange(count), source)), (count, skeleton.count)))
+    given = np.zeros((count, skeleton.count))
+    given[np.arange(count), source] = handle
+    heat = splu(system.tocsc()).solve(given)
     share = np.where(linked, 1 / (way + 1e-6), 0)
     share[~linked.any(axis=1), 0] = 1
-    out: Array = np.einsum("nk,nkb->nb", share, heat.toarray()[near])
+    out: Array = np.einsum("nk,nkb->nb", share, heat[near])
     return out
