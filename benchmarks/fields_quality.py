@@ -23,13 +23,15 @@ def main() -> None:
     parser.add_argument("--resolution", type=int, default=64)
     parser.add_argument("--width", type=int, default=1024, help="channels of the decoder's first voxel")
     parser.add_argument("--iterations", type=int, default=SCHEDULE.iterations)
+    parser.add_argument("--fit", action="store_true", help="also the volume that is fitted to the start")
     options = parser.parse_args()
     volume = {"resolution": options.resolution, "width": options.width}
     fields: dict[str, tuple[str, dict[str, Any]]] = {
         "pyramid": ("pyramid", {}),
         f"volume {options.resolution}": ("volume", volume),
-        f"volume {options.resolution}, start fit": ("volume", {**volume, "start": "fit"}),
     }
+    if options.fit:
+        fields[f"volume {options.resolution}, start fit"] = ("volume", {**volume, "start": "fit"})
     first = options.iterations * SCHEDULE.stages[0][1] // SCHEDULE.iterations
     (small, _), (large, _) = SCHEDULE.stages
     preset = replace(SCHEDULE, stages=((small, first), (large, options.iterations - first)))

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from ...rig.skeleton import Skeleton
 from ...splats.cloud import SH_C0, SplatCloud
 from . import clothes, things
-from .blending import blend
-from .flesh import Plan, sample_outside
+from .flesh import Plan, cover_with_splats
 from .things import random_color as _color
 
 if TYPE_CHECKING:
@@ -34,8 +33,7 @@ def generate(rng: np.random.Generator, grow: Callable[[Plan], None] | None = Non
     (grow or kinds[rng.choice(len(kinds), p=np.array(often) / sum(often))])(plan)
     names = tuple(f"{i}" for i in range(len(plan.parents)))
     skeleton = Skeleton(names, np.array(plan.parents), np.array(plan.heads), np.array(plan.tails))
-    points, part = sample_outside(plan, int(rng.integers(4000, 6000)))
-    colors, weights = np.array([flesh.color for flesh in plan.flesh])[part], blend(plan, skeleton, points, part)
+    points, colors, weights = cover_with_splats(plan, skeleton, int(rng.integers(4000, 6000)))
     count = len(points)
     spacing = float(np.sqrt(sum(part.area for part in plan.flesh) * 3 / count))
     cloud = SplatCloud(

@@ -10,8 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...rig.skeleton import Skeleton
+
 Array = NDArray[Any]
 MIRROR = np.array([-1.0, 1.0, 1.0])
+NEARNESS = 0.3
+"""Share of the creatures whose flesh blends by how near its bones are."""
 
 
 @dataclass
@@ -122,19 +126,73 @@ class Plan:
         self.mirror(bones, flesh)
 
 
-def sample_outside(plan: Plan, count: int) -> tuple[Array, Array]:
-    """About `count` points (N, 3) on the outside of all flesh, and the number of the part of each."""
+def cover_with_splats(plan: Plan, skeleton: Skeleton, count: int) -> tuple[Array, Array, Array]:
+    """Points on the outside of all flesh, their colours and weights.
+
+    Flesh blends between its bone and the bones next to it in the tree, by how deep the point lies in the flesh of
+    each or by how near it is to each bone; rigid parts follow their bone alone; see `Flesh` for what drapes.
+    """
     rng = plan.rng
     area = np.array([part.area for part in plan.flesh])
-    points, parts = [], []
+    blend = _Blend(plan, skeleton, rng)
+    points, colors, weights = [], [], []
     for number, part in enumerate(plan.flesh):
         some = part.sample(max(int(1.5 * count * area[number] / area.sum()), 8), rng)
         buried = np.zeros(len(some), bool)
         for other in plan.flesh:
             if other is not part:
                 buried |= other.local(some)[1] < -0.1 * min(other.r0, other.r1) * other.thin
-        points.append(some[~buried])
-        parts.append(np.full(len(points[-1]), number))
-    every, part_of = np.concatenate(points), np.concatenate(parts)
-    picked = rng.permutation(len(every))[:count]
-    return every[picked], part_of[picked]
+        some = some[~buried]
+        points.append(some)
+        colors.append(np.tile(part.color, (len(some), 1)))
+        weights.append(blend(part, some))
+    every = np.concatenate(points), np.concatenate(colors), np.concatenate(weights)
+    picked = rng.permutation(len(every[0]))[:count]
+    return every[0][picked], every[1][picked], every[2][picked]
+
+
+class _Blend:
+    """The rule by which a creature's flesh blends."""
+
+    def __init__(self, plan: Plan, skeleton: Skeleton, rng: np.random.Generator) -> None:
+        self._skeleton = skeleton
+        self._soft = rng.uniform(0.08, 0.5)
+        self._power = rng.uniform(3.0, 8.0)
+        self._by_way = rng.random() < NEARNESS
+        self._by_bone: dict[int, list[Flesh]] = {}
+        for part in plan.flesh:
+            if not part.rigid:
+                self._by_bone.setdefault(part.bone, []).append(part)
+
+    def __call__(self, part: Flesh, points: Array) -> Array:
+        """Weights (N, B) of points on a part, rows sum to 1."""
+        own = np.zeros((len(points), self._skeleton.count))
+        if part.drape:
+            share = part.sag * part.local(points)[0]
+            legs = self._nearness(points, np.array(part.drape), 4.0)
+            own[:, part.drape] = share[:, None] * legs / legs.sum(axis=1, keepdims=True)
+            own[:, part.bone] += 1 - share
+        elif part.rigid:
+            own[:, part.bone] = 1
+        else:
+            kin = [part.bone, int(self._skeleton.parents[part.bone]), *self._skeleton.children(part.bone)]
+            kin = [int(bone) for bone in kin if int(bone) in self._by_bone]
+            if self._by_way:
+                own[:, kin] = self._nearness(points, np.array(kin), self._power)
+            else:
+                for bone in kin:
+                    for flesh in self._by_bone[bone]:
+                        depth = flesh.local(points)[1] / (self._soft * (part.r0 + part.r1))
+                        own[:, bone] = np.maximum(own[:, bone], np.exp(-depth.clip(-20, 20) * 2))
+        out: Array = own / np.maximum(own.sum(axis=1, keepdims=True), 1e-30)
+        return out
+
+    def _nearness(self, points: Array, bones: Array, power: float) -> Array:
+        """(N, len(bones)): a power of how near each bone is, 1 for the nearest."""
+        start = self._skeleton.heads[bones]
+        axis = self._skeleton.tails[bones] - start
+        away = points[:, None] - start
+        t = ((away * axis).sum(-1) / np.maximum((axis * axis).sum(-1), 1e-12)).clip(0, 1)
+        way = np.linalg.norm(away - t[..., None] * axis, axis=-1) + 1e-3
+        out: Array = (way.min(axis=1, keepdims=True) / way) ** power
+        return out

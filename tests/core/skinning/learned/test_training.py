@@ -13,8 +13,7 @@ from gskin_addon.core.errors import InputError
 from gskin_addon.core.rig.lbs import skin_points
 from gskin_addon.core.rig.skeleton import Skeleton
 from gskin_addon.core.skinning.learned import creatures, rig_changes
-from gskin_addon.core.skinning.learned.blending import RULES, blend
-from gskin_addon.core.skinning.learned.flesh import Plan, sample_outside
+from gskin_addon.core.skinning.learned.flesh import Plan, cover_with_splats
 from gskin_addon.core.skinning.learned.lessons import Lesson, make_lesson, posed_lesson
 from gskin_addon.core.skinning.learned.network import make_batch
 from gskin_addon.core.skinning.learned.training import Schedule, Syllabus, Trainer, posed_error
@@ -141,27 +140,12 @@ def test_what_drapes_follows_its_bone_above_and_the_nearest_below():
     span = (np.array([0, 0, 1.0]), np.array([0, 0, 0.2]))
     plan.cover(hip, 0.3, 0.5, np.ones(3), segment=span, drape=tuple(legs), sag=0.5)
     skeleton = Skeleton(("hip", "left", "right"), np.array(plan.parents), np.array(plan.heads), np.array(plan.tails))
-    points, part = sample_outside(plan, 3000)
-    weights = blend(plan, skeleton, points, part)
+    points, _, weights = cover_with_splats(plan, skeleton, 3000)
     np.testing.assert_allclose(weights.sum(axis=1), 1)
     high, low, left = points[:, 2] > 1, points[:, 2] < 0.2, points[:, 0] < -0.1
     np.testing.assert_allclose(weights[high, 0], 1)
     np.testing.assert_allclose(weights[low, 0], 0.5)
     assert weights[low & left, 1].min() > weights[low & left, 2].max()
-
-
-@pytest.mark.parametrize("rule", RULES)
-def test_a_limb_of_two_bones_blends_at_its_joint(rule):
-    plan = Plan(np.random.default_rng(1))
-    plan.chain(-1, np.zeros(3), np.array([0, 0, 1.0]), np.array([1.0, 1.0]), 0.15, 1.0, np.ones(3), bend=0)
-    skeleton = Skeleton(("upper", "lower"), np.array(plan.parents), np.array(plan.heads), np.array(plan.tails))
-    points, part = sample_outside(plan, 3000)
-    weights = blend(plan, skeleton, points, part, rule)
-    height = points[:, 2]
-    np.testing.assert_allclose(weights.sum(axis=1), 1)
-    assert weights[height < 0.4, 0].mean() > 0.9
-    assert weights[height > 1.6, 1].mean() > 0.9
-    assert 0.3 < weights[np.abs(height - 1) < 0.1, 0].mean() < 0.7
 
 
 def test_an_interrupt_never_leaves_half_a_step(syllabus, monkeypatch):
