@@ -100,7 +100,7 @@ def run_job(
             job.checkpoint.mkdir(exist_ok=True)
             outcome = pipeline(job.cloud, job.skeleton, job.settings, progress, job.checkpoint)
             seconds = time.monotonic() - started
-            progress("write", 1.0, {}, "Writing the weights")
+            progress("write", 1.0, {}, "Writing the weights", 0.0)
             report = {**outcome.report, "worker": {"seconds": round(seconds, 2), **_machine()}}
             write_result(
                 job, outcome.weights, report, outcome.previews, outcome.mesh_weights, outcome.confidence

@@ -65,6 +65,7 @@ def test_a_job_runs_to_its_end(tmp_path):
     lines, stderr = finish(worker)
     assert worker.returncode == 0
     assert [line["stage"] for line in lines] == ["start", "steps", "write", "done"]
+    assert lines[-2]["seconds_left"] == 0  # whatever the rate was before
     assert lines[1]["losses"] == {"l1": 0.25}  # what is not a number is left out: JSON has no NaN
     assert [line["fraction"] for line in lines] == sorted(line["fraction"] for line in lines)
     assert "chatter on stdout" in stderr and "chatter of a child" in stderr  # noqa: PT018

@@ -18,7 +18,7 @@ from gskin_addon.core.skinning.learned.features import NAMES, TOKENS, describe
 @pytest.fixture(scope="module")
 def scene():
     """A creature with everything that `describe` wants."""
-    subject = creatures.generate(np.random.default_rng(5))
+    subject = creatures.generate(np.random.default_rng(5), creatures.KINDS[0][0])  # a biped
     body = look_at(subject.cloud, subject.skeleton, limit=800)
     diffuse = np.sqrt(body.heat) / np.sqrt(body.heat).sum(axis=1, keepdims=True)
     return subject.skeleton, body, surface_normals(body.points), diffuse
