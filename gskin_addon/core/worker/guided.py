@@ -31,6 +31,9 @@ from .learning import make_guidance, optimise, try_out
 from .proxy import Proxy
 from .settings import PRESET_FIELD, JobSettings
 
+TRIAL_POSES = 6
+"""Poses of each view in a try-out: what a view sees in any of them is rendered, so too few make an iteration cheap."""
+
 
 @dataclass(frozen=True)
 class Learned:
@@ -71,7 +74,7 @@ def rehearse(
         poser = proxy.poser(subset, losses.arap_neighbours)
         rough, _ = proxy.initial("visibility", subset.cloud, skeleton, masks, cameras, {})
     weight_field = create_field(_field_name(chosen), poser.nodes, rough, chosen.field_options)
-    signals = make_signals(skeleton, list(cameras), 1, np.random.default_rng(chosen.seed))
+    signals = make_signals(skeleton, list(cameras), TRIAL_POSES, np.random.default_rng(chosen.seed))
     at_rest = [Target(s.camera, s.transforms, rest_images[s.view]) for s in signals]
     trial = Optimiser(
         subset.cloud, skeleton, weight_field, at_rest, preset, poser=poser, losses=losses, rasterizer=rasterizer
