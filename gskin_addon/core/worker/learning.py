@@ -35,13 +35,13 @@ def work(preset: Preset, views: int, splats: int, bones: int, guided: bool = Tru
     size = splats / 50_000
     images = views * preset.poses_per_view
     looks, first = look_schedule(preset, images) if splats >= PRUNE_FROM else (), 0
-    kinds = {"splats": (1, 0.1 * size), "initial": (1, 0.3 + 0.8 * size)}
+    kinds = {"splats": (1, 0.06 * size), "initial": (1, 0.3 + 0.8 * size)}
     finish = {"finish": (1, 0.8 * size)}
     if not guided:
         return kinds | finish
     wanted = images + views * preset.held_out
     kinds |= {"distances": (1, 0.5 * size), "first image": (1, 0.2 + size)}
-    kinds |= {"guidance": (wanted - 1, 0.03 * (0.8 + size))}
+    kinds |= {"guidance": (wanted - 1, 0.042 * (0.8 + size))}
     for size_px, iterations in preset.stages:
         stage = range(first, first + iterations)
         first += iterations
