@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections.abc import Sequence
@@ -68,6 +69,18 @@ def _check_at(preset: Preset) -> frozenset[int]:
     return frozenset(np.linspace(0, preset.iterations, CHECKS + 1).round().astype(int)[1:].tolist())
 
 
+def _first_visits(preset: Preset, images: int) -> frozenset[int]:
+    """The iterations that meet an image for the first time at a size and bring it to that size: they take up to half
+    as long again, which says nothing about the others."""
+    epoch = math.ceil(images / max(1, min(preset.batch, images)))
+    visits: list[int] = []
+    first = 0
+    for _, iterations in preset.stages:
+        visits += range(first, first + min(epoch, iterations))
+        first += iterations
+    return frozenset(visits)
+
+
 def try_out(optimiser: Optimiser, course: Course, images: int) -> None:
     """Measure what an iteration costs at each size, before anything is learned.
 
@@ -107,6 +120,7 @@ def optimise(optimiser: Optimiser, course: Course, checkpoint: Path) -> list[dic
         history = state["history"]
     _skip_done(optimiser, course)
     checks, every = _check_at(optimiser.preset), max(1, iterations // 50)
+    slow = _first_visits(optimiser.preset, len(optimiser.targets))
     saved, cost = time.monotonic(), 0.0
     course.rest()
     while optimiser.iteration < iterations and not optimiser.stop.reason:
@@ -115,7 +129,11 @@ def optimise(optimiser: Optimiser, course: Course, checkpoint: Path) -> list[dic
             optimiser.look()
             course.did(_look(size))
         parts = optimiser.step()
-        course.did(_learn(size))
+        if number in slow:
+            course.forecast.skip(_learn(size), 1)
+            course.rest()
+        else:
+            course.did(_learn(size))
         if number % every == 0 or number == iterations - 1:
             history.append({"iteration": number, **parts})
         if optimiser.iteration in checks and optimiser.check() is not None:

@@ -3,17 +3,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gskin_addon.core.skinning.presets import PRESETS
 from gskin_addon.core.worker.course import Course
 from gskin_addon.core.worker.forecast import Forecast
-from gskin_addon.core.worker.learning import TRIALS, work
+from gskin_addon.core.worker.learning import TRIALS, _first_visits, work
 
 # Seconds for each piece: an easy job, one whose pictures are slow, one whose large images are slow, a slow machine.
 _EASY = {
-    "splats": 0.1, "initial": 1.5, "distances": 0.5, "first image": 1.2, "guidance": 0.08, "look": 1.0, 256: 0.05,
+    "splats": 0.06, "initial": 1.5, "distances": 0.5, "first image": 1.2, "guidance": 0.08, "look": 1.0, 256: 0.05,
     512: 0.12, "check": 0.1, "finish": 1.0,
 }  # fmt: skip
 COSTS = {
@@ -21,7 +23,7 @@ COSTS = {
     "slow guidance": {**_EASY, "guidance": 9.0},
     "steep in size": {**_EASY, "guidance": 0.05, "look": 0.4, 256: 0.03, 512: 0.4, "check": 0.4, "finish": 2.0},
     "many bones": {
-        "splats": 0.8, "initial": 6.0, "distances": 6.0, "first image": 6.0, "guidance": 0.6, "look": 5.0, 256: 0.9,
+        "splats": 0.25, "initial": 6.0, "distances": 6.0, "first image": 6.0, "guidance": 0.6, "look": 5.0, 256: 0.9,
         512: 1.5, "check": 0.5, "finish": 9.0,
     },
 }  # fmt: skip
@@ -59,6 +61,12 @@ def test_after_a_tenth_of_the_run_the_end_is_known_within_a_fifth(name, preset):
     for at, left in early[: len(early) // 2]:
         assert left == pytest.approx(now[0] - at, rel=0.2)
     assert told[-1][1] == pytest.approx(0, abs=1e-9)
+
+
+def test_each_image_is_met_first_in_the_first_epoch_of_a_size():
+    preset = replace(PRESETS["standard"], stages=((256, 80), (512, 120)), batch=4)
+    assert _first_visits(preset, 96) == {*range(24), *range(80, 104)}
+    assert _first_visits(replace(preset, stages=((512, 3),)), 96) == {0, 1, 2}
 
 
 def test_guesses_follow_the_speed_of_what_was_measured():
