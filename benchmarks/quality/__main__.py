@@ -16,7 +16,7 @@ from pathlib import Path
 
 from benchmarks.assets import ASSETS
 
-from .catalog import CATEGORIES, Entry, balanced, candidates, entry_of
+from .catalog import CATEGORIES, Entry, balanced, candidates, entry_of, is_open
 from .methods import METHODS
 from .perturb import DISTURBANCES
 from .protocol import Protocol
@@ -154,7 +154,7 @@ def _publish(arguments: argparse.Namespace, protocol: Protocol, entries: list[En
     if not arguments.no_docs:
         from .pictures import make_sheets
 
-        made = make_sheets(summary, protocol, arguments.out, DOC.parent / "images", arguments.show)
+        made = make_sheets(summary, protocol, arguments.out, DOC.parent / "images", arguments.show, may_show=is_open)
         pictures = [(f"images/{name}", caption) for name, caption in made]
     threads = "one thread" if arguments.threads == 1 else f"{arguments.threads} threads"
     machine = f"{os.cpu_count()}-core {platform.machine()} CPU, {threads} a method, no GPU"

@@ -12,6 +12,7 @@ from functools import cache
 from pathlib import Path
 
 from benchmarks.assets import ASSETS
+from gskin_addon.core.skinning.learned.examples import OPEN_LICENCES
 
 CATEGORIES = ("humanoid", "animal", "creature", "object")
 
@@ -43,6 +44,11 @@ def candidates(folder: Path = ASSETS) -> list[Entry]:
 def family_of(name: str, folder: Path = ASSETS) -> str:
     """The family of an asset; KeyError if there is no such asset."""
     return str(_catalogue(folder)[name]["family"])
+
+
+def is_open(name: str, folder: Path = ASSETS) -> bool:
+    """Whether an asset's licence asks for no more than its author's name; KeyError if there is no such asset."""
+    return _catalogue(folder)[name]["license"] in OPEN_LICENCES
 
 
 def entry_of(name: str, folder: Path = ASSETS) -> Entry:
