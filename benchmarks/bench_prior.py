@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ from gskin_addon.core.skinning.learned.predict import learned_weights
 
 from .assets import ASSETS, RiggedSplats, load_asset
 from .metrics import POSES, held_out_poses
+from .quality.catalog import Entry, candidates, entry_of
 from .quality.methods import create_method
 from .quality.methods.base import Subject
 
@@ -70,15 +72,15 @@ def baselines(name: str, splats: int, kept: Path) -> dict[str, float]:
     return json.loads(path.read_text())
 
 
-def measure(entry: dict[str, Any], splats: int, models: Path, kept: Path) -> dict[str, Any] | None:
+def measure(entry: Entry, splats: int, models: Path, kept: Path) -> dict[str, Any] | None:
     """All errors of one asset; None where no model may judge it."""
-    shipped = SHIPPED.is_file() and entry["family"] in read_card(SHIPPED).left_out
-    model = SHIPPED if shipped else models_without(entry["family"], models)
+    shipped = SHIPPED.is_file() and entry.family in read_card(SHIPPED).left_out
+    model = SHIPPED if shipped else models_without(entry.family, models)
     if model is None:
         return None
-    row: dict[str, Any] = {key: entry[key] for key in ("name", "category", "family")}
-    row.update(baselines(entry["name"], splats, kept), model=model.name)
-    asset = load_asset(entry["name"], splats)
+    row: dict[str, Any] = asdict(entry)
+    row.update(baselines(entry.name, splats, kept), model=model.name)
+    asset = load_asset(entry.name, splats)
     weights, confidence = learned_weights(asset.cloud, asset.skeleton, model)
     error = PositionJudge(asset)(weights)
     wrong = 0.5 * np.abs(weights - asset.weights).sum(axis=1)
@@ -131,16 +133,13 @@ def main() -> int:
     if not (ASSETS / "npz").is_dir():
         print(f"'{ASSETS}' has no rigged assets; set GSKIN_ASSETS to the folder that holds npz/.", file=sys.stderr)
         return 2
-    entries = json.loads((ASSETS / "catalog.json").read_text())["assets"]
-    chosen = [e for e in entries if e["eval_candidate"] and not e.get("near_duplicate_of")]
-    if arguments.assets:
-        chosen = [e for e in entries if e["name"] in arguments.assets.split(",")]
+    chosen = [entry_of(name) for name in arguments.assets.split(",")] if arguments.assets else candidates()
     if arguments.families:
-        chosen = [e for e in chosen if e["family"] in arguments.families.split(",")]
+        chosen = [e for e in chosen if e.family in arguments.families.split(",")]
     kept, rows = Path("out/prior-baselines"), []
     for entry in chosen:
         if arguments.baselines_only:
-            baselines(entry["name"], arguments.splats, kept)
+            baselines(entry.name, arguments.splats, kept)
             continue
         row = measure(entry, arguments.splats, arguments.models, kept)
         if row is not None:

@@ -154,7 +154,8 @@ def _publish(arguments: argparse.Namespace, protocol: Protocol, entries: list[En
     if not arguments.no_docs:
         from .pictures import make_sheets
 
-        made = make_sheets(summary, protocol, arguments.out, DOC.parent / "images", arguments.show, may_show=is_open)
+        shown = summary.only([entry.name for entry in entries if is_open(entry.name)])
+        made = make_sheets(shown, protocol, arguments.out, DOC.parent / "images", arguments.show)
         pictures = [(f"images/{name}", caption) for name, caption in made]
     threads = "one thread" if arguments.threads == 1 else f"{arguments.threads} threads"
     machine = f"{os.cpu_count()}-core {platform.machine()} CPU, {threads} a method, no GPU"

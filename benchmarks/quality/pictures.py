@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,19 +26,17 @@ MOST_BYTES = 300_000
 
 
 def make_sheets(
-    summary: Summary, protocol: Protocol, folder: Path, out: Path, method: str, count: int = 4,
-    may_show: Callable[[str], bool] = lambda asset: True,
-) -> list[tuple[str, str]]:  # fmt: skip
+    summary: Summary, protocol: Protocol, folder: Path, out: Path, method: str, count: int = 4
+) -> list[tuple[str, str]]:
     """quality_best.jpg and quality_worst.jpg in `out`: (file name, caption), for those that can be made.
 
     Rows: the assets on which `method` is best and worst against the initial weights; columns: rest, truth, initial
-    weights, bone heat on the true mesh, the method, in the frame in which the initial weights err most. may_show says
-    of an asset whether its licence lets pictures of it be part of the documentation.
+    weights, bone heat on the true mesh, the method, in the frame in which the initial weights err most.
     """
     shown = [BASE, MESH, method]
     cases = [
         r for r in summary.of(method)
-        if may_show(r.asset) and all(weights_path(folder, r.asset, m, protocol.key).is_file() for m in shown)
+        if all(weights_path(folder, r.asset, m, protocol.key).is_file() for m in shown)
     ]  # fmt: skip
     initial = {r.asset: r.score["error"] or 0.0 for r in summary.of(BASE)}
     cases = [r for r in cases if initial.get(r.asset, 0.0) > 0.02]  # of the rest there is nothing to see

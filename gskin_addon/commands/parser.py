@@ -261,7 +261,7 @@ def _train_prior(commands: Any) -> None:
     train.add_argument("--seed", type=_seed, default=0, metavar="N", help="same seed, same model (default: 0)")
     train.add_argument("--cache", type=Path, metavar="D", help="where described bodies are kept, for further runs")
     train.add_argument("--threads", type=_positive, default=2, metavar="N", help="(default: %(default)s)")
-    train.add_argument("--progress", choices=("auto", "bar", "lines", "json", "none"), default="auto")
+    _progress(train)
     _common(train)
 
 

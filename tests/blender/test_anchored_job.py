@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import functools
 import sys
 
 import numpy as np
@@ -13,50 +12,32 @@ from proxy_meshes import tube
 
 bpy = pytest.importorskip("bpy")
 
-import gskin_addon
+import pretend
+
 from gskin_addon.core.errors import InputError
-from gskin_addon.core.worker.client import WorkerClient
 from gskin_addon.core.worker.contract import read_job
 from gskin_addon.core.worker.mesh_files import read_mesh
-from gskin_addon.operators import skin_job
 from gskin_addon.operators.skin_job import SkinJob
 from gskin_addon.scene.anchored import proxy_of
 from gskin_addon.scene.bone_frames import armature_of
 from gskin_addon.scene.splat_object import create_splat_object
 from gskin_addon.scene.weights import read_weights
-from gskin_addon.ui import preferences, progress
 
 
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    monkeypatch.setenv("GSKIN_PYTHON", sys.executable)
-    preferences._found.clear()
-    (tmp_path / "jobs").mkdir()
-    monkeypatch.setattr(skin_job, "jobs_folder", lambda: tmp_path / "jobs")
-    monkeypatch.setattr(skin_job, "WorkerClient", functools.partial(WorkerClient, program=jobs.FAKE))
-    gskin_addon.register()
-    armature = bpy.data.objects.new("Rig", bpy.data.armatures.new("Rig"))
-    bpy.context.scene.collection.objects.link(armature)
-    bpy.context.view_layer.objects.active = armature
-    bpy.ops.object.mode_set(mode="EDIT")
-    for name, z in (("lower", 0), ("upper", 1)):
-        bone = armature.data.edit_bones.new(name)
-        bone.head, bone.tail = (0, 0, z), (0, 0, z + 1)
-        bone.parent = armature.data.edit_bones.get("lower") if z else None
-    bpy.ops.object.mode_set(mode="OBJECT")
-    verts, faces = tube(bones=2, rings=9, sides=6)
-    mesh = bpy.data.meshes.new("Body")
-    mesh.from_pydata((verts[:, [1, 2, 0]] / 2).tolist(), [], faces.tolist())
-    body = bpy.data.objects.new("Body", mesh)
-    body.scale = (2, 2, 2)
-    bpy.context.scene.collection.objects.link(body)
-    settings = bpy.context.scene.gskin
-    settings.splats, settings.armature = create_splat_object(jobs.rod(200)[0], "Rod"), armature
-    settings.proxy = body
-    yield settings
-    progress.stop()
-    gskin_addon.unregister()
+    with pretend.session(tmp_path, monkeypatch) as scene:
+        verts, faces = tube(bones=2, rings=9, sides=6)
+        mesh = bpy.data.meshes.new("Body")
+        mesh.from_pydata((verts[:, [1, 2, 0]] / 2).tolist(), [], faces.tolist())
+        body = bpy.data.objects.new("Body", mesh)
+        body.scale = (2, 2, 2)
+        bpy.context.scene.collection.objects.link(body)
+        settings = scene.gskin
+        settings.splats = create_splat_object(jobs.rod(200)[0], "Rod")
+        settings.armature = pretend.add_armature()
+        settings.proxy = body
+        yield settings
 
 
 def test_the_mesh_gets_weights_and_the_splats_follow_it(scene):

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import errno
-import functools
 import os
 import signal
 import subprocess
@@ -16,9 +15,11 @@ from types import SimpleNamespace
 
 import bpy
 import numpy as np
+import pretend
 import pytest
 import worker_jobs as jobs
 from mathutils import Matrix
+from pretend import add_armature
 
 import gskin_addon
 from gskin_addon.core.errors import Cancelled, InputError
@@ -36,36 +37,12 @@ from gskin_addon.ui import preferences, progress
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
     """An empty scene with gskin registered, a worker that only pretends, and a job folder of its own."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    monkeypatch.setenv("GSKIN_PYTHON", sys.executable)
-    preferences._found.clear()
-    home = tmp_path / "jobs"
-    home.mkdir()
-    monkeypatch.setattr(skin_job, "jobs_folder", lambda: home)
-    monkeypatch.setattr(skin_job, "WorkerClient", functools.partial(WorkerClient, program=jobs.FAKE))
-    gskin_addon.register()
-    yield bpy.context.scene
-    progress.stop()
-    gskin_addon.unregister()
+    with pretend.session(tmp_path, monkeypatch) as scene:
+        yield scene
 
 
 def add_rod(name: str = "Rod", count: int = 200):
     return create_splat_object(jobs.rod(count)[0], name)
-
-
-def add_armature(bones=(("lower", (0, 0, 0), (0, 0, 1)), ("upper", (0, 0, 1), (0, 0, 2))), name: str = "Rig"):
-    """An armature with a chain of bones (name, head, tail)."""
-    armature = bpy.data.objects.new(name, bpy.data.armatures.new(name))
-    bpy.context.scene.collection.objects.link(armature)
-    bpy.context.view_layer.objects.active = armature
-    bpy.ops.object.mode_set(mode="EDIT")
-    parent = None
-    for bone_name, head, tail in bones:
-        bone = armature.data.edit_bones.new(bone_name)
-        bone.head, bone.tail, bone.parent = head, tail, parent
-        parent = bone
-    bpy.ops.object.mode_set(mode="OBJECT")
-    return armature
 
 
 def choose(splats, armature, **settings) -> None:

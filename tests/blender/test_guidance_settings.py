@@ -3,51 +3,31 @@
 
 from __future__ import annotations
 
-import functools
-import sys
 from types import SimpleNamespace
 
 import pytest
 
 bpy = pytest.importorskip("bpy")
 
+import pretend
 import worker_jobs as jobs
 
 import gskin_addon
-from gskin_addon.core.worker.client import WorkerClient
 from gskin_addon.core.worker.contract import read_job
 from gskin_addon.core.worker.settings import JobSettings
 from gskin_addon.operators import skin_job
 from gskin_addon.operators.auto_skin import GSKIN_OT_auto_skin
 from gskin_addon.scene.splat_object import create_splat_object
-from gskin_addon.ui import guidance, preferences, progress
+from gskin_addon.ui import guidance, progress
 
 
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
     """A scene with chosen splats and armature, and a worker that only pretends."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    monkeypatch.setenv("GSKIN_PYTHON", sys.executable)
-    preferences._found.clear()
-    home = tmp_path / "jobs"
-    home.mkdir()
-    monkeypatch.setattr(skin_job, "jobs_folder", lambda: home)
-    monkeypatch.setattr(skin_job, "WorkerClient", functools.partial(WorkerClient, program=jobs.FAKE))
-    gskin_addon.register()
-    settings = bpy.context.scene.gskin
-    settings.splats = create_splat_object(jobs.rod(200)[0], "Rod")
-    rig = bpy.data.objects.new("Rig", bpy.data.armatures.new("Rig"))
-    bpy.context.scene.collection.objects.link(rig)
-    bpy.context.view_layer.objects.active = rig
-    bpy.ops.object.mode_set(mode="EDIT")
-    for name, head in (("lower", 0), ("upper", 1)):
-        bone = rig.data.edit_bones.new(name)
-        bone.head, bone.tail = (0, 0, head), (0, 0, head + 1)
-    bpy.ops.object.mode_set(mode="OBJECT")
-    settings.armature = rig
-    yield bpy.context.scene
-    progress.stop()
-    gskin_addon.unregister()
+    with pretend.session(tmp_path, monkeypatch) as scene:
+        scene.gskin.splats = create_splat_object(jobs.rod(200)[0], "Rod")
+        scene.gskin.armature = pretend.add_armature()
+        yield scene
 
 
 @pytest.fixture

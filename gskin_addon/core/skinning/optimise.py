@@ -38,12 +38,7 @@ DEFAULT_LOSSES = LossWeights()
 def look_schedule(preset: Preset, images: int) -> frozenset[int]:
     """The iterations before which the views find out what they see."""
     every = max(1, round(LOOK_EPOCHS * images / max(1, min(preset.batch, images))))
-    looks: list[int] = []
-    first = 0
-    for _, iterations in preset.stages:
-        looks += range(first, first + iterations, every)
-        first += iterations
-    return frozenset(looks)
+    return frozenset(look for _, stage in preset.ranges() for look in stage[::every])
 
 
 class Optimiser:
@@ -175,10 +170,8 @@ class Optimiser:
 
     def size_now(self) -> int:
         """Image size of the next iteration, in pixels."""
-        passed = 0
-        for size, iterations in self.preset.stages:
-            passed += iterations
-            if self.iteration < passed:
+        for size, stage in self.preset.ranges():
+            if self.iteration in stage:
                 return size
         return self.preset.stages[-1][0]
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import accumulate
 
 from ..errors import InputError
 from .fields import DEFAULT_FIELD
@@ -33,6 +34,11 @@ class Preset:
     def iterations(self) -> int:
         """Iterations of all stages together."""
         return sum(iterations for _, iterations in self.stages)
+
+    def ranges(self) -> list[tuple[int, range]]:
+        """The stages as (image size in pixels, the numbers of their iterations)."""
+        ends = accumulate(iterations for _, iterations in self.stages)
+        return [(size, range(end - count, end)) for (size, count), end in zip(self.stages, ends, strict=True)]
 
 
 PRESETS: dict[str, Preset] = {

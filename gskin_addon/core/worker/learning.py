@@ -35,7 +35,7 @@ def work(preset: Preset, views: int, splats: int, bones: int, guided: bool = Tru
     """
     size = splats / 50_000
     images = views * preset.poses_per_view
-    looks, first = look_schedule(preset, images) if splats >= PRUNE_FROM else (), 0
+    looks = look_schedule(preset, images) if splats >= PRUNE_FROM else ()
     kinds = {"splats": (1, 0.06 * size), "initial": (1, 0.3 + 0.8 * size)}
     finish = {"finish": (1, 0.8 * size)}
     if not guided:
@@ -43,12 +43,10 @@ def work(preset: Preset, views: int, splats: int, bones: int, guided: bool = Tru
     wanted = images + views * preset.held_out
     kinds |= {"distances": (1, 0.5 * size), "first image": (1, 0.2 + size)}
     kinds |= {"guidance": (wanted - 1, 0.042 * (0.8 + size))}
-    for size_px, iterations in preset.stages:
-        stage = range(first, first + iterations)
-        first += iterations
+    for size_px, stage in preset.ranges():
         pixels = (size_px / 512) ** 2
         guess = preset.batch * 0.02 * (0.3 + pixels) * (0.3 + size) * (0.6 + bones / 50)
-        pieces = kinds.get(_learn(size_px), (0, 0.0))[0] + iterations
+        pieces = kinds.get(_learn(size_px), (0, 0.0))[0] + len(stage)
         kinds[_learn(size_px)] = (pieces, guess)
         pieces = kinds.get(_look(size_px), (0, 0.0))[0] + sum(at in stage for at in looks)
         kinds[_look(size_px)] = (pieces, images * 0.008 * size)
@@ -73,12 +71,7 @@ def _first_visits(preset: Preset, images: int) -> frozenset[int]:
     """The iterations that meet an image for the first time at a size and bring it to that size: they take up to half
     as long again, which says nothing about the others."""
     epoch = math.ceil(images / max(1, min(preset.batch, images)))
-    visits: list[int] = []
-    first = 0
-    for _, iterations in preset.stages:
-        visits += range(first, first + min(epoch, iterations))
-        first += iterations
-    return frozenset(visits)
+    return frozenset(visit for _, stage in preset.ranges() for visit in stage[:epoch])
 
 
 def try_out(optimiser: Optimiser, course: Course, images: int) -> None:

@@ -8,8 +8,6 @@ from typing import Any
 import torch
 from torch import nn
 
-from .processors import self_attentions
-
 _UNUSED_TOP = ("conv_norm_out", "conv_out")
 _UNUSED_IN_BLOCK = ("attn1", "norm2", "attn2", "norm3", "ff")
 
@@ -65,8 +63,3 @@ def appearance_bank(encoder: Any, latents: torch.Tensor, text: torch.Tensor, pla
         for handle in handles:
             handle.remove()
     return [found[place] for place in places]
-
-
-def bank_places(unet: Any) -> list[str]:
-    """Names of the denoising UNet's self-attentions, which the encoder has under the same names."""
-    return self_attentions(unet)

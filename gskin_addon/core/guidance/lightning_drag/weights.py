@@ -13,7 +13,7 @@ import torch
 from torch import nn
 
 from ...errors import InputError
-from ..model_files import load_tensors
+from ..model_files import first_line, load_tensors
 from .appearance import absent_keys, prune
 from .files import APPEARANCE, ATTENTION, POINTS, Files, read_table
 from .image_tokens import ImageTokens
@@ -201,7 +201,9 @@ def empty_prompt(base: Path, width: int) -> torch.Tensor:
         with torch.no_grad():
             states: torch.Tensor = encoder(tokens)[0]
     except Exception as error:  # of tokenizers, of transformers
-        raise InputError(f"The tokenizer in '{base}' does not work ({_line(error)}); get its files again.") from error
+        raise InputError(
+            f"The tokenizer in '{base}' does not work ({first_line(error)}); get its files again."
+        ) from error
     return states
 
 
@@ -217,7 +219,9 @@ def _pretrained(kind: Any, folder: Path, what: str, **settings: Any) -> Any:
     try:
         model, report = kind.from_pretrained(folder, local_files_only=True, output_loading_info=True, **settings)
     except Exception as error:  # each library has its own
-        raise InputError(f"The {what} in '{folder}' cannot be loaded ({_line(error)}); get its files again.") from error
+        raise InputError(
+            f"The {what} in '{folder}' cannot be loaded ({first_line(error)}); get its files again."
+        ) from error
     for complaint, words in (("missing_keys", "lacks the tensor"), ("mismatched_keys", "has another shape of")):
         if report[complaint]:
             first = sorted(str(key) for key in report[complaint])[0]
@@ -252,7 +256,3 @@ def _scheduler(path: Path) -> dict[str, Any]:
 
 def _plain(value: Any) -> Any:
     return list(value) if isinstance(value, (list, tuple)) else value
-
-
-def _line(error: BaseException) -> str:
-    return (str(error).strip() or type(error).__name__).split("\n")[0].rstrip(".")

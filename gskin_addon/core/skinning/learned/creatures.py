@@ -13,7 +13,7 @@ from ...rig.skeleton import Skeleton
 from ...splats.cloud import SH_C0, SplatCloud
 from . import clothes, things
 from .flesh import Plan, cover_with_splats
-from .things import random_color as _color
+from .things import random_color
 
 if TYPE_CHECKING:
     from .examples import Subject
@@ -50,7 +50,7 @@ def _head(plan: Plan, parent: int, at: Array, way: Array, size: float, color: Ar
     """A head, perhaps with a jaw, ears or horns, eyes and a hat."""
     rng = plan.rng
     head = plan.bone(parent, at, at + way * 2 * size)
-    skin = color if rng.random() < 0.5 else _color(rng)
+    skin = color if rng.random() < 0.5 else random_color(rng)
     plan.cover(head, size * rng.uniform(0.8, 1.2), size * rng.uniform(0.6, 1.2), skin)
     middle = at + way * size
     front = np.array([0.0, -1.0, 0.0])
@@ -58,7 +58,7 @@ def _head(plan: Plan, parent: int, at: Array, way: Array, size: float, color: Ar
         jaw = plan.bone(head, at + 0.3 * size * way, at + 1.4 * size * front)
         plan.cover(jaw, 0.4 * size, 0.3 * size, skin)
     if rng.random() < 0.5:  # ears with bones, or horns without
-        boned, hue = rng.random() < 0.6, _color(rng) if rng.random() < 0.5 else skin
+        boned, hue = rng.random() < 0.6, random_color(rng) if rng.random() < 0.5 else skin
         side = np.array([0.6, 0.1, 0.6]) * size
 
         def ear() -> None:
@@ -71,10 +71,10 @@ def _head(plan: Plan, parent: int, at: Array, way: Array, size: float, color: Ar
 
         plan.limbs(ear)
     if rng.random() < 0.5:
-        eye, hue = middle + size * np.array([0.4, -0.95, 0.1]), _color(rng)
+        eye, hue = middle + size * np.array([0.4, -0.95, 0.1]), random_color(rng)
         plan.limbs(lambda: plan.cover(head, 0.15 * size, 0.15 * size, hue, segment=(eye, eye + 1e-3), rigid=True))
     if rng.random() < 0.4:
-        top, hue = at + way * 2.0 * size, _color(rng)
+        top, hue = at + way * 2.0 * size, random_color(rng)
         plan.cover(head, rng.uniform(0.6, 1.3) * size, rng.uniform(0.2, 0.8) * size, hue,
                    segment=(top, top + way * rng.uniform(0.3, 1.2) * size), rigid=True)  # fmt: skip
     if rng.random() < 0.3:
@@ -92,7 +92,7 @@ def _carried(plan: Plan, bones: list[int], size: float) -> None:
             reach = way * size * rng.uniform(0.3, 2.5)
             flat = np.cross(way, rng.normal(size=3))
             span = (middle - 0.3 * reach, middle + 0.7 * reach)
-            plan.cover(bone, size * rng.uniform(0.15, 0.5), size * rng.uniform(0.1, 0.5), _color(rng), flat=flat,
+            plan.cover(bone, size * rng.uniform(0.15, 0.5), size * rng.uniform(0.1, 0.5), random_color(rng), flat=flat,
                        thin=rng.uniform(0.25, 1), segment=span, rigid=True)  # fmt: skip
 
 
@@ -118,7 +118,7 @@ def _legs(plan: Plan, parent: int, hip: Array, height: float, radius: float, col
         way = np.array([rng.uniform(0, 0.3), rng.uniform(-0.2, 0.2), -1.0])
         made = plan.chain(parent, hip, way, height * share / share.sum(), radius, 0.8, color, bend=0.12)
         if rng.random() < 0.7:
-            shoe = _color(rng) if rng.random() < 0.5 else color
+            shoe = random_color(rng) if rng.random() < 0.5 else color
             at = plan.tails[made[-1]]
             foot = plan.bone(made[-1], at, at + np.array([0.05, -1.0, -0.15]) * radius * 2.5)
             plan.cover(foot, radius * 0.8, radius * 0.6, shoe)
@@ -137,7 +137,7 @@ def _wings(plan: Plan, parent: int, start: Array, span: float, color: Array) -> 
 
     def wing() -> None:
         count = int(rng.integers(1, 4))
-        hue = _color(rng)
+        hue = random_color(rng)
         plan.chain(parent, start, np.array([1.0, 0.3, 0.4]), np.full(count, span / count), span * 0.25, 0.8, hue,
                    bend=0.2, flat=np.array([0.0, 0.3, 1.0]), thin=0.15)  # fmt: skip
 
@@ -145,8 +145,8 @@ def _wings(plan: Plan, parent: int, start: Array, span: float, color: Array) -> 
 
 
 def _biped(plan: Plan) -> None:
-    rng, color = plan.rng, _color(plan.rng)
-    trousers = _color(rng) if rng.random() < 0.7 else color
+    rng, color = plan.rng, random_color(plan.rng)
+    trousers = random_color(rng) if rng.random() < 0.7 else color
     tall, stout = rng.uniform(0.5, 0.9), rng.uniform(0.12, 0.3)
     hip = np.array([0.0, 0.0, rng.uniform(0.4, 0.9)])
     spine = _spine(plan, hip, np.array([0.0, 0.0, 1.0]), tall, stout, color)
@@ -159,7 +159,7 @@ def _biped(plan: Plan) -> None:
     if rng.random() < 0.7:
         neck = plan.chain(neck, top, np.array([0.0, 0, 1.0]), np.array([0.12]), 0.4 * size, 1.0, color, bend=0)[0]
     head = _head(plan, neck, plan.tails[neck], np.array([0.0, 0, 1.0]), size, color)
-    skin = _color(rng) if rng.random() < 0.5 else color
+    skin = random_color(rng) if rng.random() < 0.5 else color
 
     def arm() -> None:
         parent, start = spine[-1], top + [0.9 * stout, 0, -0.3 * stout]
@@ -206,7 +206,7 @@ def _dressed(
 
 
 def _quadruped(plan: Plan) -> None:
-    rng, color = plan.rng, _color(plan.rng)
+    rng, color = plan.rng, random_color(plan.rng)
     high, long, stout = rng.uniform(0.3, 0.9), rng.uniform(0.6, 1.4), rng.uniform(0.14, 0.3)
     back = np.array([0.0, long / 2, high])
     spine = _spine(plan, back, np.array([0.0, -1.0, rng.uniform(-0.1, 0.2)]), long, stout, color)
@@ -226,11 +226,11 @@ def _quadruped(plan: Plan) -> None:
 
 
 def _crawler(plan: Plan) -> None:
-    rng, color = plan.rng, _color(plan.rng)
+    rng, color = plan.rng, random_color(plan.rng)
     high, long, stout = rng.uniform(0.15, 0.5), rng.uniform(0.4, 1.2), rng.uniform(0.12, 0.3)
     back = np.array([0.0, long / 2, high])
     spine = _spine(plan, back, np.array([0.0, -1.0, 0.0]), long, stout, color)
-    hue = _color(rng) if rng.random() < 0.5 else color
+    hue = random_color(rng) if rng.random() < 0.5 else color
     pairs = int(rng.integers(2, 6))
     for number in range(pairs):
         share = (number + 0.5) / pairs
@@ -251,14 +251,14 @@ def _crawler(plan: Plan) -> None:
 
 def _swimmer(plan: Plan) -> None:
     """Snakes and fish."""
-    rng, color = plan.rng, _color(plan.rng)
+    rng, color = plan.rng, random_color(plan.rng)
     count, long, stout = int(rng.integers(3, 14)), rng.uniform(1.0, 2.0), rng.uniform(0.06, 0.25)
     parent = plan.bone(-1, np.zeros(3), np.array([0.0, 0.0, 0.2])) if rng.random() < 0.3 else -1
     made = plan.chain(parent, np.zeros(3), np.array([0.0, 1.0, 0.0]), np.full(count, long / count), stout, 0.9, color,
                       bend=rng.uniform(0, 0.2), flat=np.array([1.0, 0, 0]), thin=rng.uniform(0.5, 1))  # fmt: skip
     _head(plan, made[0], plan.heads[made[0]], np.array([0.0, -1.0, 0.0]), stout * rng.uniform(0.6, 1.1), color)
     if rng.random() < 0.6:
-        at, hue = plan.heads[made[count // 3]], _color(rng)
+        at, hue = plan.heads[made[count // 3]], random_color(rng)
         flat = np.array([0.0, 0.2, 1.0])
 
         def fin() -> None:

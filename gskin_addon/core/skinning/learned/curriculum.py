@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .examples import OPEN_LICENCES
+from .examples import trainable
 from .lessons import asset_lesson, creature_lesson
 from .training import CREATURES, Syllabus
 
@@ -50,14 +50,12 @@ class Request:
 
 
 def plan(
-    entries: Sequence[dict[str, Any]], folder: Path, leave_out: Iterable[str], creatures: int
+    entries: Sequence[dict[str, Any]], folder: Path, leave_out: Sequence[str], creatures: int
 ) -> list[Request]:
     """The lessons of all families that may be learned from; what is the same in every fold comes out the same."""
     families: dict[str, list[dict[str, Any]]] = {}
-    left = set(leave_out)
-    for entry in entries:
-        if entry["license"] in OPEN_LICENCES and entry["family"] not in left:
-            families.setdefault(entry["family"], []).append(entry)
+    for entry in trainable(entries, leave_out):
+        families.setdefault(entry["family"], []).append(entry)
     rounds: dict[int, list[Request]] = {}
     for family, assets in families.items():
         wanted = math.ceil(PER_FAMILY * math.sqrt(len(assets)))
