@@ -14,6 +14,7 @@ import venv
 
 import bpy
 import numpy as np
+import pretend
 import pytest
 import worker_jobs as jobs
 from PIL import Image
@@ -27,21 +28,12 @@ from gskin_addon.core.worker.contract import read_weights
 from gskin_addon.scene.bone_frames import armature_of
 from gskin_addon.scene.splat_object import is_splat_object
 
-CHAIN = (("lower", (0, 0, 0), (0, 0, 1)), ("upper", (0, 0, 1), (0, 0, 2)))
 
-
-def add_armature(name: str, bones=CHAIN, deform: bool = True):
+def add_armature(name: str, bones=pretend.CHAIN, deform: bool = True):
     """An armature with a chain of bones, keyed to bend over ten frames, and a mesh that nobody asked for."""
-    armature = bpy.data.objects.new(name, bpy.data.armatures.new(name))
-    bpy.context.scene.collection.objects.link(armature)
-    bpy.context.view_layer.objects.active = armature
-    bpy.ops.object.mode_set(mode="EDIT")
-    parent = None
-    for bone_name, head, tail in bones:
-        bone = armature.data.edit_bones.new(bone_name)
-        bone.head, bone.tail, bone.parent, bone.use_deform = head, tail, parent, deform
-        parent = bone
-    bpy.ops.object.mode_set(mode="OBJECT")
+    armature = pretend.add_armature(bones, name)
+    for bone in armature.data.bones:
+        bone.use_deform = deform
     if armature.pose.bones:
         bone = armature.pose.bones[-1]
         bone.rotation_mode = "QUATERNION"
