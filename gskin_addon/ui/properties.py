@@ -18,6 +18,7 @@ _INITIAL_TIPS = {
     "learned": "By a small network that has seen how artists weight bodies; comes with the add-on",
     "visibility": "Straight distance to the bones, farther where the splat cannot see the bone (the paper's)",
     "geodesic": "Distance through the inside of the body; better where limbs come close to each other",
+    "heat": "Blender's bone heat, on the splats themselves: bones behind a splat count as nearer than those before it",
 }
 _PRESETS = [(name, name.capitalize(), preset.description) for name, preset in PRESETS.items()]
 _GUIDANCE = [

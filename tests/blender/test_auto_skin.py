@@ -100,7 +100,7 @@ def test_settings_offer_what_the_core_has(scene):
     assert offered("preset") == {"draft", "standard", "high", "paper"}
     assert "elastic" in offered("guidance")
     assert "oracle" not in offered("guidance")
-    assert offered("init") == {"learned", "visibility", "geodesic"}
+    assert offered("init") == {"learned", "visibility", "geodesic", "heat"}
 
 
 def test_poll_says_what_is_missing(scene, monkeypatch, tmp_path):

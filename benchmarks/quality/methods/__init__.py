@@ -16,6 +16,7 @@ __all__ = ["DESCRIPTIONS", "METHODS", "Made", "Method", "Subject", "Unavailable"
 METHODS = {
     "initial": "initial",
     "geodesic": "initial",
+    "heat_splats": "initial",
     "learned": "learned",
     "nearest": "nearest",
     "heat_mesh": "heat_mesh",
@@ -32,6 +33,7 @@ DESCRIPTIONS = {
     "nearest": "every splat follows its nearest bone",
     "heat_mesh": "Blender's bone heat on the true mesh, which splats do not have",
     "heat_proxy": "Blender's bone heat on a mesh made from the splats",
+    "heat_splats": "bone heat on the splats themselves, with their facing (`--init heat`)",
     "bbw": "bounded biharmonic weights in the voxelised splats (libigl)",
     "oracle": "the job with perfect guidance images: what the optimiser can reach",
 }

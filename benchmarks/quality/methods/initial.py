@@ -7,11 +7,11 @@ from gskin_addon.core.skinning.initial import initial_weights
 
 from .base import Made, Method, Subject
 
-NAMES = {"initial": "visibility", "geodesic": "geodesic"}
+NAMES = {"initial": "visibility", "geodesic": "geodesic", "heat_splats": "heat"}
 
 
 def create(name: str) -> Method:
-    """`initial` is the paper's formula, `geodesic` the one through the body."""
+    """`initial` is the paper's formula, `geodesic` the one through the body, `heat_splats` bone heat."""
 
     def make(subject: Subject) -> Made:
         cloud, skeleton = subject.cloud, subject.skeleton

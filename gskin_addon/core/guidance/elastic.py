@@ -20,12 +20,17 @@ from ..render.rasterizer import render_cloud
 from ..rig.lbs import skin_points
 from ..rig.quaternion import matrix_to_quat, normalize, quat_multiply
 from ..rig.rotations import closest_rotation
+from ..rig.segments import bone_segments
+from ..skinning.facing import facing_distances, outward, surface_normals
+from ..skinning.voxels import voxelize
 from ..splats.cloud import SplatCloud
 from .control import ControlSignal
 from .graph import NodeGraph, build_graph
 from .provider import GuidanceContext, to_bytes
 
 HANDLE_STRENGTH = 3.0
+FACING_STRENGTH = 4.0
+"""Of handles that feel `facing_distances`; see `learned/body.py`."""
 ITERATIONS = 3
 TIES = 1.0001
 CLOSEST = 1e-3
@@ -36,16 +41,23 @@ class ElasticBody:
 
     Minimises over the nodes' positions x'
         sum_edges |(x'_i - x'_j) - R_i (x_i - x_j)|^2 + sum_i h_i |x'_i - P_b(i) x_i|^2,
-    with h_i = HANDLE_STRENGTH m_i / d_i^2: d_i is the distance to the nearest bone b(i), m_i a quarter of
+    with h_i = strength m_i / d_i^2: d_i is the distance to the nearest bone b(i), m_i a quarter of
     the summed squared edges, which makes the balance independent of how densely the nodes lie. The handles
     close to their bone are thereby firm, the doubtful ones far from all bones are carried by their
     neighbours.
     """
 
     def __init__(
-        self, cloud: SplatCloud, distances: NDArray[Any], *, nodes: int = 3000
+        self,
+        cloud: SplatCloud,
+        distances: NDArray[Any],
+        *,
+        reach: NDArray[Any] | None = None,
+        strength: float = HANDLE_STRENGTH,
+        nodes: int = 3000,
     ) -> None:
-        """cloud: N splats; distances (N, B): from each splat to each bone, through the body, metres."""
+        """cloud: N splats; distances (N, B): from each splat to each bone, through the body, metres; reach (N, B):
+        the same as the handles feel it, such as `facing_distances`; strength of the handles."""
         from scipy import sparse
         from scipy.sparse.linalg import splu
 
@@ -57,11 +69,12 @@ class ElasticBody:
         square = np.square(self._rest[a] - self._rest[b]).sum(1)
         square = np.minimum(square, 4 * np.median(square))  # bridges across gaps are no measure of density
         mass = (np.bincount(a, square, count) + np.bincount(b, square, count)) / 4
-        near = np.maximum(np.asarray(distances[self.graph.nodes], np.float64), CLOSEST * _diagonal(cloud))
+        felt = distances if reach is None else reach
+        near = np.maximum(np.asarray(felt[self.graph.nodes], np.float64), CLOSEST * _diagonal(cloud))
         nearest = near.min(axis=1, keepdims=True)
         self._bone = near <= nearest * TIES
         self._bone = self._bone / self._bone.sum(axis=1, keepdims=True)
-        self._strength = HANDLE_STRENGTH * mass / nearest[:, 0] ** 2
+        self._strength = strength * mass / nearest[:, 0] ** 2
         adjacency = sparse.coo_matrix((np.ones(len(a)), (a, b)), shape=(count, count))
         self._adjacency = (adjacency + adjacency.T).tocsr()
         degree = np.asarray(self._adjacency.sum(axis=1)).ravel()
@@ -163,7 +176,7 @@ class ElasticGuidance:
     BATCH = 8
 
     def __init__(self, context: GuidanceContext) -> None:
-        self.body = ElasticBody(context.cloud, context.distances)
+        self.body = ElasticBody(context.cloud, context.distances, reach=_felt(context), strength=FACING_STRENGTH)
         self._background = context.background
 
     def images(self, signals: Sequence[ControlSignal]) -> Iterator[NDArray[np.uint8]]:
@@ -173,6 +186,16 @@ class ElasticGuidance:
             posed = self.body.pose(np.stack([signal.transforms for signal in batch]))
             for signal, cloud in zip(batch, posed, strict=True):
                 yield to_bytes(render_cloud(cloud, signal.camera, self._background)[0])
+
+
+def _felt(context: GuidanceContext) -> NDArray[Any]:
+    """Distances (N, B) as the handles feel them: bones behind a splat hold it, those before it hardly do."""
+    cloud, segments = context.cloud, bone_segments(context.skeleton)
+    grid = voxelize(cloud.means, cloud.opacities, scales=cloud.scales, quats=cloud.quats)
+    points = cloud.means.astype(np.float64)
+    out = outward(points, surface_normals(points), grid)
+    ways = np.asarray(context.distances)[:, segments.bone]
+    return facing_distances(points, out, segments, ways, CLOSEST * _diagonal(cloud))
 
 
 def create(context: GuidanceContext) -> ElasticGuidance:

@@ -123,6 +123,14 @@ def _geodesic(
     return weights, None
 
 
+def _heat(
+    cloud: SplatCloud, skeleton: Skeleton, masks: Array, cameras: Sequence[Camera], options: Mapping[str, Any]
+) -> tuple[Array, None]:
+    from .learned.predict import heat_weights
+
+    return heat_weights(cloud, skeleton), None
+
+
 def _learned(
     cloud: SplatCloud, skeleton: Skeleton, masks: Array, cameras: Sequence[Camera], options: Mapping[str, Any]
 ) -> tuple[Array, Array]:
@@ -136,6 +144,7 @@ INITIAL_WEIGHTS: dict[str, InitialWeights] = {
     "learned": _learned,
     "visibility": _visibility,
     "geodesic": _geodesic,
+    "heat": _heat,
 }
 """By name: (cloud, skeleton, masks (V, H, W) bool, cameras, options) -> weights (N, B) float32 whose rows sum to 1,
 and confidence (N,) in [0, 1] or None where the method has no opinion."""

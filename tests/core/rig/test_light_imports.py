@@ -23,4 +23,4 @@ def test_rig_and_the_names_of_initial_weights_need_numpy_only():
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60, check=False
     )
     assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == ["learned", "visibility", "geodesic"]
+    assert done.stdout.split() == ["learned", "visibility", "geodesic", "heat"]

@@ -151,8 +151,8 @@ def test_wrong_masks_and_unknown_names_are_refused():
     with pytest.raises(ValueError, match="a camera is"):
         bone_visibility(points, skeleton, masks[:, :64], cameras)
     cloud = _cloud(points)
-    with pytest.raises(InputError, match=r"'heat'.*learned or visibility or geodesic"):
-        initial_weights("heat", cloud, skeleton, masks, cameras)
+    with pytest.raises(InputError, match=r"'warmth'.*learned or visibility or geodesic or heat"):
+        initial_weights("warmth", cloud, skeleton, masks, cameras)
 
 
 @pytest.mark.parametrize("name", list(INITIAL_WEIGHTS))

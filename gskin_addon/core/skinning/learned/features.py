@@ -7,7 +7,7 @@ and splats.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -26,11 +26,12 @@ TOKENS = 12
 _POOLED = ("near", "wide", "piece", "tight", "loose")
 POSITION_FEATURES = (
     "straight", "through", "straight over nearest", "through over nearest", "detour", "along", "clamped",
-    "beyond", "over length", "aside", "facing", "axis to surface", "rank",
+    "beyond", "over length", "aside", "facing", "axis to surface", "rank", "outward", "faced", "faced over nearest",
 )  # fmt: skip
 SHARE_FEATURES = (
     "heat", "diffuse heat", "falloff", "owned", "heat share", "closest splat", "strongest heat", "width",
-    "heat of kin below", "heat of parent", "parent farther", "children farther",
+    "heat of kin below", "heat of parent", "parent farther", "children farther", "plain heat", "hard heat",
+    "faced falloff",
 )  # fmt: skip
 CONTEXT_FEATURES = (
     *(f"heat {where}" for where in _POOLED),
@@ -39,11 +40,29 @@ CONTEXT_FEATURES = (
 )
 SPLAT_FEATURES = (
     "distance", "heat entropy", "piece size", "tight size", "loose size", "bones", "second", "pieces",
-    "nearest bones in tight", "nearest bones in loose",
+    "nearest bones in tight", "nearest bones in loose", "thick",
 )  # fmt: skip
 NAMES = (*POSITION_FEATURES, *SHARE_FEATURES, *BONE_FEATURES, *CONTEXT_FEATURES, *SPLAT_FEATURES)
 PRIOR = NAMES.index("heat")
 """The column with the logarithm of the heat weight: where the network's logits start."""
+
+
+@dataclass(frozen=True)
+class Reach:
+    """What the bones are to the splats, each (N, B): distances through the body; faced: the same by
+    `facing_distances`; heat, diffuse, hard: equilibria of faced distances with usual, weak and strong handles; plain:
+    of plain distances."""
+
+    distances: Array
+    faced: Array
+    heat: Array
+    diffuse: Array
+    hard: Array
+    plain: Array
+
+    def pick(self, chosen: Any) -> Reach:
+        """All of them at `chosen`, an index into them."""
+        return Reach(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
 
 @dataclass(frozen=True)
@@ -62,10 +81,9 @@ class Description:
 def describe(
     points: Array,
     normals: Array,
+    out: Array,
     skeleton: Skeleton,
-    distances: Array,
-    heat: Array,
-    diffuse: Array,
+    reach: Reach,
     parts: Parts,
     size: float,
     *,
@@ -74,13 +92,13 @@ def describe(
 ) -> Description:
     """The description of the splats at `rows` (M,), or of all.
 
-    points, normals (N, 3), the sign of a normal does not matter; distances (N, B) through the body; heat,
-    diffuse (N, B): equilibria with strong and with weak handles; size: the object's diagonal.
+    points, normals (N, 3), the sign of a normal does not matter; out (N, 3): see `outward`; size: the object's
+    diagonal.
     """
     rows = np.arange(len(points)) if rows is None else rows
     segments = bone_segments(skeleton)
     bones, count = skeleton.count, min(tokens, skeleton.count)
-    distances = np.asarray(distances, np.float32)
+    distances = np.asarray(reach.distances, np.float32)
     order = np.argsort(distances[rows], axis=1, kind="stable")[:, :count]
     bone = np.full((len(rows), tokens), -1, np.int16)
     bone[:, :count] = order
@@ -91,15 +109,17 @@ def describe(
     owner[np.arange(len(points)), nearest] = 1
     up = ancestry(skeleton.parents)
     below = (up >= 0).astype(np.float32)  # below[a, b]: a hangs on b or is b
-    heat = np.asarray(heat, np.float32)
+    heat = np.asarray(reach.heat, np.float32)
     kin = heat @ below
 
-    position = _position(points[rows], normals[rows], skeleton, segments, distances[rows], order, size)
-    share = _share(skeleton, distances, heat, diffuse, kin, owner, size, rows, at)
+    position = _position(points[rows], normals[rows], out[rows], skeleton, segments, distances[rows], order, size)
+    position = np.concatenate([position, _faced(reach.faced[rows], order, size)], axis=-1)
+    share = _share(skeleton, reach, kin, owner, size, rows, at)
     tips = _tips(segments, bones)
     static = bone_features(skeleton, tips, size)[order]
     context = [_log(a[rows][at]) for a in (*parts.pooled(heat), *parts.pooled(owner), *parts.pooled(kin))]
-    splat = _splat(distances, heat, owner, parts, size)[rows]
+    thick = np.linalg.norm(out, axis=1)
+    splat = np.column_stack([_splat(distances, heat, owner, parts, size), thick])[rows]
     splat = np.broadcast_to(splat[:, None], (len(rows), count, splat.shape[1]))
     values = np.zeros((len(rows), tokens, len(NAMES)), np.float32)
     values[:, :count] = np.concatenate([position, share, static, np.stack(context, -1), splat], axis=-1)
@@ -117,14 +137,14 @@ def _tips(segments: BoneSegments, bones: int) -> Array:
 
 
 def _position(
-    points: Array, normals: Array, skeleton: Skeleton, segments: BoneSegments, distances: Array, order: Array,
-    size: float,
+    points: Array, normals: Array, out: Array, skeleton: Skeleton, segments: BoneSegments, distances: Array,
+    order: Array, size: float,
 ) -> Array:  # fmt: skip
-    """(M, K, len(POSITION_FEATURES)): where a splat lies, seen from a bone."""
+    """(M, K, C): where a splat lies, seen from a bone; the first of `POSITION_FEATURES`."""
     shape = (len(points), skeleton.count)
     straight = np.full(shape, np.inf, np.float32)
     along, length = np.zeros(shape, np.float32), np.ones(shape, np.float32)
-    facing, flat = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+    facing, flat, back = (np.zeros(shape, np.float32) for _ in range(3))
     for start, end, bone in zip(segments.starts, segments.ends, segments.bone, strict=True):
         axis = end - start
         reach = max(float(np.linalg.norm(axis)), 1e-6 * size)
@@ -140,6 +160,7 @@ def _position(
             (length, np.full(len(t), reach)),
             (facing, np.abs((aside * normals).sum(1)) / np.maximum(way, 1e-9 * size)),
             (flat, np.abs(normals @ axis)),
+            (back, (aside * out).sum(1) / np.maximum(way, 1e-9 * size)),
         ):
             target[better, bone] = value[better]
     at = (np.arange(len(points))[:, None], order)
@@ -161,20 +182,31 @@ def _position(
         facing[at],
         flat[at],
         np.broadcast_to(np.arange(order.shape[1]) / 16, order.shape),
+        back[at],
     ]
     return np.stack([np.asarray(c, np.float32) for c in columns], axis=-1)
 
 
+def _faced(faced: Array, order: Array, size: float) -> Array:
+    """(M, K, 2): the rest of `POSITION_FEATURES`."""
+    way = np.log(faced[np.arange(len(faced))[:, None], order] / size)
+    over = way - np.log(faced.min(axis=1) / size)[:, None]
+    return np.stack([way.clip(-8, 3), over.clip(0, 6)], axis=-1).astype(np.float32)
+
+
+def _falloff(near: Array) -> Array:
+    """(N, B): logarithm of the shares that fall with the fourth power of distances `near` (N, B)."""
+    ratio = (near.min(axis=1, keepdims=True) / near) ** 4
+    return np.asarray(_log(ratio / ratio.sum(axis=1, keepdims=True)))
+
+
 def _share(
-    skeleton: Skeleton, distances: Array, heat: Array, diffuse: Array, kin: Array, owner: Array, size: float,
-    rows: Array, at: Any,
-) -> Array:  # fmt: skip
+    skeleton: Skeleton, reach: Reach, kin: Array, owner: Array, size: float, rows: Array, at: Any
+) -> Array:
     """(M, K, len(SHARE_FEATURES)): how much of the splat, and of the whole object, a bone claims."""
     parents, bones, order = skeleton.parents, skeleton.count, at[1]
     floor = np.float32(1e-3 * size)
-    near = np.maximum(distances, floor)
-    ratio = (near.min(axis=1, keepdims=True) / near) ** 4
-    falloff = ratio / ratio.sum(axis=1, keepdims=True)
+    near, heat = np.maximum(np.asarray(reach.distances, np.float32), floor), np.asarray(reach.heat, np.float32)
     owned = owner.mean(axis=0)
     own_width = (owner * near).sum(axis=0) / np.maximum(owner.sum(axis=0), 1)
     has = parents >= 0
@@ -193,8 +225,10 @@ def _share(
     parent_way = np.where(has[order], np.log(near[rows[:, None], above[order]] / mine), 0)
     child_way = children[rows][at]
     child_way = np.where(np.isfinite(child_way), np.log(np.minimum(child_way, 1e9) / mine), 0)
-    first = np.stack([_log(heat[rows][at]), _log(diffuse[rows][at]), _log(falloff[rows][at])], axis=-1)
-    last = np.stack([_log(kin[rows][at]), _log(parent_heat), parent_way, child_way], axis=-1)
+    first = np.stack([_log(heat[rows][at]), _log(reach.diffuse[rows][at]), _falloff(near)[rows][at]], axis=-1)
+    plain, hard = _log(reach.plain[rows][at]), _log(reach.hard[rows][at])
+    faced = _falloff(np.asarray(reach.faced, np.float32))[rows][at]
+    last = np.stack([_log(kin[rows][at]), _log(parent_heat), parent_way, child_way, plain, hard, faced], axis=-1)
     assert bones == near.shape[1]
     return np.concatenate([first, bone_columns, last], axis=-1).astype(np.float32)
 

@@ -25,7 +25,7 @@ from .parts import neighbourhoods
 Array = NDArray[Any]
 
 ROWS = 500
-VERSION = 2
+VERSION = 3
 """Of the lesson files; other versions are made anew."""
 
 
@@ -75,7 +75,7 @@ def make_lesson(subject: Subject, rng: np.random.Generator, rows: int = ROWS) ->
     body = look_at(cloud, skeleton, rows=rows, resolution=int(rng.integers(56, 76)))
     at = body.index[body.rows]
     points = body.points[body.rows]
-    near, wide = neighbourhoods(points, body.distances[body.rows])
+    near, wide = neighbourhoods(points, body.reach.distances[body.rows])
     labels = [np.unique(column[body.rows], return_inverse=True)[1] for column in body.parts.labels.T]
     centre = points.mean(axis=0)
     truth, valid = subject.weights[at], subject.valid[at]
@@ -95,7 +95,7 @@ def make_lesson(subject: Subject, rng: np.random.Generator, rows: int = ROWS) ->
         valid,
         0.0,
     )
-    heat = body.heat[body.rows]
+    heat = body.reach.heat[body.rows]
     poses = posed_lesson(lesson, 16, np.random.default_rng(0))
     error = np.linalg.norm(skin_points(unit, heat, poses) - skin_points(unit, truth, poses), axis=-1)
     return replace(lesson, difficulty=float(100 * error[:, valid].mean()))

@@ -2,7 +2,8 @@
 """The network: a splat's nearest bones look at each other, then at what neighbouring splats chose.
 
 Per splat a set of K bone tokens; attention among them with a bias for their kinship; a first softmax over the
-bones; its choice averaged over the splat's neighbourhoods and parts; attention once more; the final softmax.
+bones; its choice averaged over the splat's neighbourhoods and parts, and what all splats of the body have in common;
+attention once more; the final softmax, sharper or softer as the body asks for.
 """
 
 from __future__ import annotations
@@ -20,11 +21,13 @@ from .tree import RELATIONS
 
 POOLS = 5
 _FAR = -1e4
+_SHARPEST = 1.5  # logarithm of the most that the logits may grow or shrink by
 
 
 @dataclass(frozen=True)
 class Shape:
-    """Sizes of the network; `before` and `after` count the layers on either side of the exchange."""
+    """Sizes of the network; `before` and `after` count the layers on either side of the exchange; `style`: numbers
+    that describe how a body as a whole is weighted, such as rigid or soft."""
 
     features: int = len(NAMES)
     width: int = 48
@@ -32,6 +35,7 @@ class Shape:
     before: int = 2
     after: int = 1
     channels: int = 4
+    style: int = 16
 
     def as_dict(self) -> dict[str, int]:
         """Plain numbers, for a file's metadata."""
@@ -105,9 +109,15 @@ class PriorNetwork(nn.Module):
         self.say = nn.Linear(s.width, s.channels)
         self.hear = nn.Linear(POOLS * (1 + s.channels) + 1, s.width)
         self.doubt = nn.Sequential(nn.Linear(s.width + 3, 32), nn.ReLU(), nn.Linear(32, 1))
+        self.style = nn.Linear(2 * s.width, s.style)
+        self.restyle = nn.Linear(s.style, s.width)
+        last = nn.Linear(32, 1)
+        self.sharp = nn.Sequential(nn.Linear(s.width + s.style, 32), nn.ReLU(), last)
         self.trust = nn.Parameter(torch.ones(1))  # of the heat weights, where the logits start
-        for part in (self.first, self.final, self.kin):
+        for part in (self.first, self.final, self.kin, self.restyle, last):
             nn.init.zeros_(part.weight)
+        for part in (self.restyle, last):
+            nn.init.zeros_(part.bias)
 
     def forward(self, batch: Batch) -> Answer:
         missing = batch.bone < 0
@@ -120,10 +130,15 @@ class PriorNetwork(nn.Module):
         seen = self.norm(x)
         first = heat + self.first(seen)[..., 0]
         x = x + self._exchange(seen, first, batch)
+        style = self._style(seen, first, batch)
+        x = x + self.restyle(style)[:, None]
         for layer, b in zip(self.layers[self.shape.before :], biases[self.shape.before :], strict=True):
             x = layer(x, b)
         seen = self.last_norm(x)
         final = first + self.final(seen)[..., 0]
+        mixed = (final.softmax(-1)[..., None] * seen).sum(1)
+        final = final * torch.exp(_SHARPEST * torch.tanh(self.sharp(torch.cat([mixed, style], -1))))
+        final = final.clamp(min=_FAR)
         return Answer(first, final, self._doubt(seen.detach(), final.detach()))
 
     def _exchange(self, seen: Tensor, logits: Tensor, batch: Batch) -> Tensor:
@@ -139,6 +154,17 @@ class PriorNetwork(nn.Module):
         told = pooled[..., 1:] / (pooled[..., :1] + 1e-3)
         out: Tensor = self.hear(torch.cat([loud, told.flatten(2), torch.log(share + 1e-3)[..., None]], -1))
         return out
+
+    def _style(self, seen: Tensor, logits: Tensor, batch: Batch) -> Tensor:
+        """(N, style): the same for all splats of a body."""
+        mixed = (logits.softmax(-1)[..., None] * seen).sum(1)
+        out = []
+        for rows, *_ in batch.bodies:
+            part = mixed[rows]
+            told = torch.cat([part.mean(0), part.std(0)])[None]
+            style = torch.tanh(functional.dropout(self.style(told), 0.2, self.training))
+            out.append(style.expand(len(part), -1))
+        return torch.cat(out)
 
     def _doubt(self, seen: Tensor, logits: Tensor) -> Tensor:
         share = logits.softmax(-1)

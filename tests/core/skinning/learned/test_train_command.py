@@ -110,7 +110,7 @@ def test_wrong_input_is_one_sentence(assets, tmp_path, capsys):
     assert train(assets, out, "--leave-out", "Cats") == 2
     assert "'Cats' is no family" in capsys.readouterr().err
     assert train(assets, out, "--fold", "seventh") == 2
-    assert "classic" in capsys.readouterr().err
+    assert "people" in capsys.readouterr().err
     assert train(assets, tmp_path / "m.bin") == 2
     assert ".safetensors" in capsys.readouterr().err
     (assets / "npz" / "Tubes.npz").write_bytes(b"no")

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which way splats face, and how far bones are for them: one behind a splat is nearer than one in front of it.
+
+A bone lies inside its limb, so the limb's surface turns its back on it. Distances that count this tell legs that
+touch apart and give the belly to the spine, not to the thigh beside it. Blender's bone heat weighs its distances so.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..rig.segments import BoneSegments
+from .voxels import VoxelGrid
+
+Array = NDArray[Any]
+
+_CLEAR = 0.5
+"""Share of the usual density step at a surface from which on the outside is beyond doubt."""
+
+
+def surface_normals(points: Array, neighbours: int = 12) -> Array:
+    """(N, 3) unit normals, of either sign: the direction in which the nearest splats spread least."""
+    from scipy.spatial import cKDTree
+
+    k = min(neighbours, len(points))
+    near = points[cKDTree(points).query(points, k)[1].reshape(len(points), -1)]
+    near = near - near.mean(axis=1, keepdims=True)
+    spread = np.einsum("nki,nkj->nij", near, near)
+    return np.linalg.eigh(spread)[1][:, :, 0]
+
+
+def outward(points: Array, normals: Array, grid: VoxelGrid) -> Array:
+    """Normals (N, 3) that point out of the filled object, as long as that is sure: 1 on a closed body, down to 0 on
+    what is thinner than a voxel on both sides, such as a leaf.
+
+    points, normals (N, 3), unit, of either sign; grid: of the same object.
+    """
+    from scipy import ndimage
+
+    density = ndimage.gaussian_filter(grid.solid.astype(np.float32), 1.0)
+    at = grid.coordinates(points).T - 0.5
+    steepest = np.stack(
+        [ndimage.map_coordinates(slope, at, order=1, mode="nearest") for slope in np.gradient(density)], axis=1
+    )
+    fall = -np.einsum("nk,nk->n", steepest, normals)
+    usual = float(np.median(np.abs(fall))) or 1.0
+    return np.asarray(normals * np.clip(fall / (_CLEAR * usual), -1, 1)[:, None])
+
+
+def facing_distances(points: Array, out: Array, segments: BoneSegments, distances: Array, floor: float) -> Array:
+    """Distances (N, B) float32 that grow up to a thousandfold where the splat faces the bone.
+
+    d / ((cos + 1) / 2), as Blender's bone heat has it, with the angle between the outward normal and the way from the
+    bone's closest point; the plain distance where the splat turns its back on the bone.
+
+    points (N, 3); out (N, 3): see `outward`; distances (N, S) to the segments, through the body, any unit; floor: the
+    least distance that counts, in that unit.
+    """
+    far = np.empty_like(distances, np.float32)
+    for column, (start, end) in enumerate(zip(segments.starts, segments.ends, strict=True)):
+        axis = end - start
+        t = np.clip((points - start) @ axis / max(float(axis @ axis), 1e-30), 0, 1)
+        way = points - (start + t[:, None] * axis)
+        cosine = np.einsum("nk,nk->n", way, out) / np.maximum(np.linalg.norm(way, axis=1), 1e-30)
+        far[:, column] = np.maximum(distances[:, column], floor) / (0.5 * (cosine + 1.001))
+    return segments.nearest(far)
