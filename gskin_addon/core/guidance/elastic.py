@@ -21,7 +21,7 @@ from ..rig.lbs import skin_points
 from ..rig.quaternion import matrix_to_quat, normalize, quat_multiply
 from ..rig.rotations import closest_rotation
 from ..rig.segments import bone_segments
-from ..skinning.facing import facing_distances, outward, surface_normals
+from ..skinning.facing import agreed, facing_distances, outward, surface_normals
 from ..skinning.voxels import voxelize
 from ..splats.cloud import SplatCloud
 from .control import ControlSignal
@@ -29,7 +29,7 @@ from .graph import NodeGraph, build_graph
 from .provider import GuidanceContext, to_bytes
 
 HANDLE_STRENGTH = 3.0
-FACING_STRENGTH = 4.0
+FACING_STRENGTH = 6.0
 """Of handles that feel `facing_distances`; see `learned/body.py`."""
 ITERATIONS = 3
 TIES = 1.0001
@@ -193,9 +193,10 @@ def _felt(context: GuidanceContext) -> NDArray[Any]:
     cloud, segments = context.cloud, bone_segments(context.skeleton)
     grid = voxelize(cloud.means, cloud.opacities, scales=cloud.scales, quats=cloud.quats)
     points = cloud.means.astype(np.float64)
-    out = outward(points, surface_normals(points), grid)
-    ways = np.asarray(context.distances)[:, segments.bone]
-    return facing_distances(points, out, segments, ways, CLOSEST * _diagonal(cloud))
+    size = _diagonal(cloud)
+    distances = np.asarray(context.distances)
+    out = agreed(points, outward(points, surface_normals(points), grid), distances.min(axis=1), size)
+    return facing_distances(points, out, segments, distances[:, segments.bone], CLOSEST * size)
 
 
 def create(context: GuidanceContext) -> ElasticGuidance:

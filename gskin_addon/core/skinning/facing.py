@@ -20,6 +20,8 @@ Array = NDArray[Any]
 _CLEAR = 0.5
 """Share of the usual density step at a surface from which on the outside is beyond doubt."""
 
+_NEIGHBOURS = 32
+
 
 def surface_normals(points: Array, neighbours: int = 12) -> Array:
     """(N, 3) unit normals, of either sign: the direction in which the nearest splats spread least."""
@@ -48,6 +50,22 @@ def outward(points: Array, normals: Array, grid: VoxelGrid) -> Array:
     fall = -np.einsum("nk,nk->n", steepest, normals)
     usual = float(np.median(np.abs(fall))) or 1.0
     return np.asarray(normals * np.clip(fall / (_CLEAR * usual), -1, 1)[:, None])
+
+
+def agreed(points: Array, out: Array, nearest: Array, size: float) -> Array:
+    """`out` (N, 3), shorter where splats around disagree: the two sides of cloth do not tell where its bones are.
+
+    Around means within half of nearest (N,), the distance to the closest bone, so that a finger's bone, which is as
+    near as its skin is thick, keeps its say; size: the object's diagonal.
+    """
+    from scipy.spatial import cKDTree
+
+    k = min(_NEIGHBOURS, len(points))
+    way, near = (a.reshape(len(points), -1) for a in cKDTree(points).query(points, k))
+    around = way <= np.clip(0.5 * nearest, 0.005 * size, 0.05 * size)[:, None]
+    mean = (out[near] * around[..., None]).sum(axis=1) / around.sum(axis=1)[:, None]
+    squared = np.maximum(np.square(out).sum(axis=1), 1e-18)
+    return np.asarray(out * np.clip(2 * (mean * out).sum(axis=1) / squared, 0, 1)[:, None])
 
 
 def facing_distances(points: Array, out: Array, segments: BoneSegments, distances: Array, floor: float) -> Array:

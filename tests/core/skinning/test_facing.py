@@ -8,7 +8,7 @@ import pytest
 
 from gskin_addon.core.rig.segments import bone_segments
 from gskin_addon.core.rig.skeleton import Skeleton
-from gskin_addon.core.skinning.facing import facing_distances, outward, surface_normals
+from gskin_addon.core.skinning.facing import agreed, facing_distances, outward, surface_normals
 from gskin_addon.core.skinning.voxels import voxelize
 
 
@@ -41,6 +41,26 @@ def test_a_leaf_has_no_outside():
     sure = np.linalg.norm(out, axis=1)
     assert np.median(sure[:4000]) == pytest.approx(1.0)
     assert np.median(sure[4000:][inner]) < 0.5
+
+
+def test_the_two_sides_of_cloth_disagree_and_those_of_a_finger_do_not():
+    """A curtain far from its bone, and a finger of the same thickness around its own."""
+    rng = np.random.default_rng(3)
+    side = np.where(rng.random(4000) < 0.5, 1.0, -1.0)
+    cloth = np.column_stack([rng.uniform(-1, 1, 4000), 0.01 * side, rng.uniform(-1, 1, 4000)])
+    angle = rng.uniform(0, 2 * np.pi, 4000)
+    finger = np.column_stack([3 + 0.03 * np.cos(angle), 0.03 * np.sin(angle), rng.uniform(-1, 1, 4000)])
+    points = np.concatenate([cloth, finger])
+    out = np.zeros((8000, 3))
+    out[:4000, 1] = side
+    out[4000:, 0], out[4000:, 1] = np.cos(angle), np.sin(angle)
+    nearest = np.repeat([0.5, 0.03], 4000)
+    got = agreed(points, out, nearest, 4.0)
+    inner = np.abs(points[:, 2]) < 0.9
+    kept = np.linalg.norm(got, axis=1)
+    assert np.median(kept[:4000][inner[:4000]]) < 0.5
+    assert np.median(kept[4000:][inner[4000:]]) > 0.9
+    assert ((got * out).sum(1) >= 0).all() and (kept <= 1 + 1e-9).all()
 
 
 def test_distances_match_a_plain_loop_and_prefer_the_bone_behind():
