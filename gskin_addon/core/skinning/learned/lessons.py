@@ -21,11 +21,15 @@ from .body import look_at
 from .examples import Mesh, Subject, cover, disturb, only_used, read_mesh_asset
 from .features import NAMES
 from .parts import neighbourhoods
+from .proportions import reshape
 
 Array = NDArray[Any]
 
 ROWS = 500
-VERSION = 3
+RESHAPED = 0.6
+"""Share of an asset's further lessons in which it has other proportions and another rest pose."""
+
+VERSION = 4
 """Of the lesson files; other versions are made anew."""
 
 
@@ -124,7 +128,10 @@ def asset_lesson(npz: Path, name: str, variant: int, cache: Path) -> Path:
     path = lesson_file(cache, name, variant)
     if not _current(path):
         rng = np.random.default_rng(seed_of(name, variant))
-        subject = _plain(read_mesh_asset(npz), rng) if variant == 0 else disturb(cover(read_mesh_asset(npz), rng), rng)
+        mesh = read_mesh_asset(npz)
+        if variant > 0 and rng.random() < RESHAPED:
+            mesh = reshape(mesh, rng)
+        subject = _plain(mesh, rng) if variant == 0 else disturb(cover(mesh, rng), rng)
         make_lesson(subject, rng).save(path)
     return path
 

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rigged bodies of other proportions and in other rest poses: longer arms, thinner legs, a larger head, knees bent.
+
+The weights stay: they belong to the flesh. So one family of characters, all of a build, teaches many builds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...rig.quaternion import axis_angle_to_matrix
+from ...rig.skeleton import Skeleton
+from .examples import Mesh
+
+Array = NDArray[Any]
+
+STRETCH, GIRTH, BEND = 0.25, 0.18, 14.0
+"""Deviations of the logarithm of a bone's length and of its flesh's width, and of a joint's angle in degrees."""
+
+
+def reshape(mesh: Mesh, rng: np.random.Generator) -> Mesh:
+    """The mesh with each bone stretched, its flesh made wider or thinner, and its joint bent, all at random."""
+    count = mesh.skeleton.count
+    strength = rng.random(3)
+    stretch = np.exp(strength[0] * STRETCH * rng.normal(size=count).clip(-2, 2))
+    girth = np.exp(strength[1] * GIRTH * rng.normal(size=count).clip(-2, 2))
+    axes = rng.normal(size=(count, 3))
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    angles = np.radians(strength[2] * BEND * rng.normal(size=count).clip(-2.5, 2.5))
+    transforms = shape_transforms(mesh.skeleton, stretch, girth, axis_angle_to_matrix(axes, angles))
+    skeleton = mesh.skeleton
+    heads, tails = (_each(transforms, ends) for ends in (skeleton.heads, skeleton.tails))
+    verts = mesh.verts + np.einsum("vb,vbk->vk", mesh.weights, _moves(transforms, mesh.verts))
+    return replace(mesh, verts=verts, skeleton=Skeleton(skeleton.names, skeleton.parents, heads, tails))
+
+
+def shape_transforms(skeleton: Skeleton, stretch: Array, girth: Array, turns: Array) -> Array:
+    """(B, 3, 4) affine maps from rest to the new shape.
+
+    stretch, girth (B,): factors along and across each bone; turns (B, 3, 3): rotation of each joint about its head,
+    which all below it follow. A bone's head goes where its parent takes it; sizes are not handed down.
+    """
+    heads, axes = skeleton.heads, skeleton.tails - skeleton.heads
+    axes = axes / np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), 1e-12)
+    along = axes[:, :, None] * axes[:, None]
+    form = girth[:, None, None] * (np.eye(3) - along) + stretch[:, None, None] * along
+    turned, place = np.empty((skeleton.count, 3, 3)), np.empty((skeleton.count, 3))
+    for bone, parent in enumerate(skeleton.parents):  # parents come first
+        turned[bone], place[bone] = turns[bone], heads[bone]
+        if parent >= 0:
+            turned[bone] = turned[parent] @ turns[bone]
+            place[bone] = place[parent] + turned[parent] @ form[parent] @ (heads[bone] - heads[parent])
+    linear = turned @ form
+    return np.concatenate([linear, (place - np.einsum("bij,bj->bi", linear, heads))[:, :, None]], axis=2)
+
+
+def _each(transforms: Array, points: Array) -> Array:
+    """Point b by transform b."""
+    return np.einsum("bij,bj->bi", transforms[:, :, :3], points) + transforms[:, :, 3]
+
+
+def _moves(transforms: Array, points: Array) -> Array:
+    """(V, B, 3): how far each transform moves each point; a vertex without weights stays where it is."""
+    return np.einsum("bij,vj->vbi", transforms[:, :, :3] - np.eye(3), points) + transforms[:, :, 3]
