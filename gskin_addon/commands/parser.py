@@ -18,6 +18,7 @@ from ..core.worker.settings import FRONTS, PRESET_FIELD
 VERSION = "0.1.0"
 TRAINING_STEPS = 600
 TRAINING_CREATURES = 480
+TRAINING_NETWORKS = 2
 VIEWS = ("front", "back", "front-left", "front-right", "left", "right")
 
 
@@ -258,6 +259,8 @@ def _train_prior(commands: Any) -> None:
     train.add_argument("--steps", type=_positive, default=TRAINING_STEPS, metavar="N", help="(default: %(default)s)")
     train.add_argument("--creatures", type=int, default=TRAINING_CREATURES, metavar="N",
                        help="made-up bodies (default: %(default)s)")  # fmt: skip
+    train.add_argument("--networks", type=_positive, default=TRAINING_NETWORKS, metavar="N",
+                       help="trained in turn, their answers are averaged (default: %(default)s)")  # fmt: skip
     train.add_argument("--seed", type=_seed, default=0, metavar="N", help="same seed, same model (default: 0)")
     train.add_argument("--cache", type=Path, metavar="D", help="where described bodies are kept, for further runs")
     train.add_argument("--threads", type=_positive, default=2, metavar="N", help="(default: %(default)s)")

@@ -6,12 +6,17 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..core.errors import InputError
 from ..core.worker.client import ProgressEvent
 from .console import ProgressPrinter, say
 from .paths import check_output
+
+if TYPE_CHECKING:
+    from ..core.skinning.learned.training import Trainer
 
 _MODULES = ("torch", "numba", "scipy", "safetensors")
 _CHECKPOINT_SECONDS = 30.0
@@ -55,32 +60,48 @@ def _train(options: argparse.Namespace, syllabus: object, left: tuple[str, ...],
     from ..core.skinning.learned.training import Schedule, Syllabus, Trainer
 
     assert isinstance(syllabus, Syllabus)
-    trainer = Trainer(syllabus, Schedule(steps=options.steps, seed=options.seed))
-    checkpoint = options.out.with_suffix(".checkpoint")
-    if checkpoint.is_file():
-        trainer.restore(checkpoint)
-    saved = time.monotonic()
+    seeds = range(options.seed, options.seed + options.networks)
+    trainers = [Trainer(syllabus, Schedule(steps=options.steps, seed=seed)) for seed in seeds]
+    kept = [options.out.with_suffix(f".{number}.checkpoint") for number in range(options.networks)]
+    for trainer, checkpoint in zip(trainers, kept, strict=True):
+        if checkpoint.is_file():
+            trainer.restore(checkpoint)
+    first = sum(trainer.step_number for trainer in trainers)
+    missing = options.steps * len(trainers) - first
+
+    def tell(message: str) -> None:
+        done = sum(trainer.step_number for trainer in trainers) - first
+        clock("train", done / missing, 0.3, 1.0, message)
+
     clock.restart()
-    first = trainer.step_number
+    for trainer, checkpoint in zip(trainers, kept, strict=True):
+        _finish(trainer, checkpoint, tell)
+    losses = [loss for trainer in trainers for loss in trainer.losses[-50:]]
+    training = {
+        "steps": options.steps, "seed": options.seed, "creatures": options.creatures,
+        "loss": round(sum(losses) / max(len(losses), 1), 4),
+    }  # fmt: skip
+    card = ModelCard(left, tuple(sorted(syllabus.files)), training)
+    save_model([trainer.result() for trainer in trainers], Path(options.out), card)
+    for checkpoint in kept:
+        checkpoint.unlink(missing_ok=True)
+
+
+def _finish(trainer: Trainer, checkpoint: Path, tell: Callable[[str], None]) -> None:
+    """All steps that are missing; the checkpoint stays until the model is written."""
+    saved, steps = time.monotonic(), trainer.schedule.steps
     try:
-        while trainer.step_number < options.steps:
+        while trainer.step_number < steps:
             loss = trainer.step()
-            part = (trainer.step_number - first) / max(options.steps - first, 1)
-            clock("train", part, 0.3, 1.0, f"step {trainer.step_number} of {options.steps}, loss {loss:.3f}")
+            tell(f"seed {trainer.schedule.seed}, step {trainer.step_number} of {steps}, loss {loss:.3f}")
             if time.monotonic() - saved > _CHECKPOINT_SECONDS:
                 trainer.save(checkpoint)
                 saved = time.monotonic()
     except KeyboardInterrupt:
-        trainer.save(checkpoint)
         say(f"Stopped at step {trainer.step_number}; the same command goes on from '{checkpoint}'.")
         raise
-    training = {
-        "steps": options.steps, "seed": options.seed, "creatures": options.creatures,
-        "loss": round(sum(trainer.losses[-50:]) / max(len(trainer.losses[-50:]), 1), 4),
-    }  # fmt: skip
-    card = ModelCard(left, tuple(sorted(syllabus.files)), training)
-    save_model(trainer.result(), Path(options.out), card)
-    checkpoint.unlink(missing_ok=True)
+    finally:
+        trainer.save(checkpoint)
 
 
 class _Clock:

@@ -21,6 +21,9 @@ _CLEAR = 0.5
 """Share of the usual density step at a surface from which on the outside is beyond doubt."""
 
 _NEIGHBOURS = 32
+_SPLIT, _WHOLE = 0.4, 0.8
+"""Agreements from which on an outward normal counts in part, and in whole. Of cloth that lies close to a body only the
+outer side shows which way is out: it agrees with half of the splats around."""
 
 
 def surface_normals(points: Array, neighbours: int = 12) -> Array:
@@ -64,8 +67,8 @@ def agreed(points: Array, out: Array, nearest: Array, size: float) -> Array:
     way, near = (a.reshape(len(points), -1) for a in cKDTree(points).query(points, k))
     around = way <= np.clip(0.5 * nearest, 0.005 * size, 0.05 * size)[:, None]
     mean = (out[near] * around[..., None]).sum(axis=1) / around.sum(axis=1)[:, None]
-    squared = np.maximum(np.square(out).sum(axis=1), 1e-18)
-    return np.asarray(out * np.clip(2 * (mean * out).sum(axis=1) / squared, 0, 1)[:, None])
+    agreement = (mean * out).sum(axis=1) / np.maximum(np.square(out).sum(axis=1), 1e-18)
+    return np.asarray(out * np.clip((agreement - _SPLIT) / (_WHOLE - _SPLIT), 0, 1)[:, None])
 
 
 def facing_distances(points: Array, out: Array, segments: BoneSegments, distances: Array, floor: float) -> Array:

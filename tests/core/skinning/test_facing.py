@@ -60,7 +60,8 @@ def test_the_two_sides_of_cloth_disagree_and_those_of_a_finger_do_not():
     kept = np.linalg.norm(got, axis=1)
     assert np.median(kept[:4000][inner[:4000]]) < 0.5
     assert np.median(kept[4000:][inner[4000:]]) > 0.9
-    assert ((got * out).sum(1) >= 0).all() and (kept <= 1 + 1e-9).all()
+    assert ((got * out).sum(1) >= 0).all()
+    assert (kept <= 1 + 1e-9).all()
 
 
 def test_distances_match_a_plain_loop_and_prefer_the_bone_behind():

@@ -22,11 +22,11 @@ from .parts import Parts, even_subset, find_parts
 
 Array = NDArray[Any]
 
-RESOLUTION = 64
+RESOLUTION = 72
 HEAT_NODES = 2000
 HANDLES = 6.0
-"""Strength of the handles in `heat`: 4, 6 and 9 leave 0.659, 0.641 and 0.641 of the initial weights' error on 83 assets,
-and on the animals among them 0.577, 0.584 and 0.599."""
+"""Strength of the handles in `heat`: 4, 6 and 9 leave 0.659, 0.641 and 0.641 of the initial weights' error on 83
+assets, and on the animals among them 0.577, 0.584 and 0.599."""
 
 CLOSEST = 1e-3
 """Distances below this share of the diagonal count as this."""
@@ -73,7 +73,8 @@ def look_at(
     distances = segments.nearest(ways)
     points, colors = part.means.astype(np.float64), part.base_colors()
     normals = surface_normals(points)
-    out = agreed(points, outward(points, normals, grid), distances.min(axis=1), size)
+    fine = voxelize(cloud.means, cloud.opacities, 2 * resolution, scales=cloud.scales, quats=cloud.quats)
+    out = agreed(points, outward(points, normals, fine), distances.min(axis=1), size)
     faced = facing_distances(points, out, segments, ways, CLOSEST * size)
     body = ElasticBody(part, distances, reach=faced, strength=HANDLES, nodes=HEAT_NODES)
     plain = ElasticBody(part, distances, nodes=HEAT_NODES).weights()

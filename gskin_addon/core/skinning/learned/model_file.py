@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Network weights on disk: safetensors, with what they were trained on in the metadata."""
+"""Networks on disk: safetensors, with what they were trained on in the metadata.
+
+A model is one network or several of a shape, trained alike from different seeds, whose answers are averaged.
+"""
 
 from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,7 +18,7 @@ from ...errors import InputError
 if TYPE_CHECKING:
     from .network import PriorNetwork
 
-FORMAT = "gskin-prior-1"
+FORMAT = "gskin-prior-2"
 SHIPPED = Path(__file__).with_name("prior.safetensors")
 
 
@@ -28,19 +31,21 @@ class ModelCard:
     training: Mapping[str, Any]
 
 
-def save_model(network: PriorNetwork, path: Path, card: ModelCard) -> None:
-    """Write half-precision weights; the file appears whole or not at all."""
+def save_model(networks: Sequence[PriorNetwork], path: Path, card: ModelCard) -> None:
+    """Write half-precision weights; the file appears whole or not at all. All networks have the shape of the first."""
     import torch
     from safetensors.torch import save_file
 
     from .features import NAMES
 
     tensors = {
-        name: value.to(torch.float16 if value.ndim == 2 else torch.float32).contiguous()
+        f"{number}.{name}": value.to(torch.float16 if value.ndim == 2 else torch.float32).contiguous()
+        for number, network in enumerate(networks)
         for name, value in network.state_dict().items()
     }
     about = {
-        "shape": network.shape.as_dict(),
+        "networks": len(networks),
+        "shape": networks[0].shape.as_dict(),
         "features": NAMES,
         "left_out": card.left_out,
         "families": card.families,
@@ -63,8 +68,8 @@ def read_card(path: Path) -> ModelCard:
     return ModelCard(tuple(about["left_out"]), tuple(about["families"]), about["training"])
 
 
-def load_model(path: Path) -> PriorNetwork:
-    """The network of a model file, ready to predict.
+def load_model(path: Path) -> tuple[PriorNetwork, ...]:
+    """The networks of a model file, ready to predict.
 
     Raises:
         InputError: the file is missing, or no model of this program, or of another version.
@@ -78,11 +83,14 @@ def load_model(path: Path) -> PriorNetwork:
     if tuple(about["features"]) != NAMES:
         raise InputError(f"'{path}' was trained by another version of gskin; train it again with gskin train-prior.")
     try:
-        network = PriorNetwork(Shape(**about["shape"]))
-        network.load_state_dict({name: value.to(torch.float32) for name, value in tensors.items()})
+        networks = tuple(PriorNetwork(Shape(**about["shape"])) for _ in range(about["networks"]))
+        for number, network in enumerate(networks):
+            start = f"{number}."
+            own = {k.removeprefix(start): v.to(torch.float32) for k, v in tensors.items() if k.startswith(start)}
+            network.load_state_dict(own)
     except (RuntimeError, TypeError, ValueError) as error:
         raise InputError(f"'{path}' does not hold the weights that it says; train it again.") from error
-    return network.eval()
+    return tuple(network.eval() for network in networks)
 
 
 def models_without(family: str, folder: Path) -> Path | None:
@@ -114,7 +122,7 @@ def _open(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], dict[str
         raise InputError(f"'{path}' holds no prior of gskin; name a file made by gskin train-prior.")
     try:
         about: dict[str, Any] = json.loads(metadata[FORMAT])
-        missing = {"shape", "features", "left_out", "families", "training"} - set(about)
+        missing = {"networks", "shape", "features", "left_out", "families", "training"} - set(about)
     except (ValueError, TypeError) as error:
         raise InputError(f"'{path}' has broken metadata; train it again with gskin train-prior.") from error
     if missing:

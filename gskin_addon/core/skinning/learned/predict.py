@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -42,9 +43,9 @@ def learned_weights(cloud: SplatCloud, skeleton: Skeleton, model: Path | None = 
     Raises:
         InputError: fewer than two splats, or the model cannot be used.
     """
-    network = _loaded(model or SHIPPED)
+    networks = _loaded(model or SHIPPED)
     body = look_at(cloud, skeleton, limit=NODES)
-    weights, confidence = predict_nodes(network, body, skeleton.count)
+    weights, confidence = predict_nodes(networks, body, skeleton.count)
     return spread(cloud, body, weights, confidence)
 
 
@@ -61,12 +62,12 @@ def heat_weights(cloud: SplatCloud, skeleton: Skeleton) -> Array:
 
 
 @lru_cache(maxsize=2)
-def _loaded(path: Path) -> PriorNetwork:
+def _loaded(path: Path) -> tuple[PriorNetwork, ...]:
     return load_model(path)
 
 
-def predict_nodes(network: PriorNetwork, body: Body, bones: int) -> tuple[Array, Array]:
-    """Weights (M, B) and confidence (M,) of a body all of whose splats are described."""
+def predict_nodes(networks: Sequence[PriorNetwork], body: Body, bones: int) -> tuple[Array, Array]:
+    """Weights (M, B) and confidence (M,) of a body all of whose splats are described; the mean of the networks."""
     import torch
 
     from .network import make_batch
@@ -83,10 +84,11 @@ def predict_nodes(network: PriorNetwork, body: Body, bones: int) -> tuple[Array,
     }
     with torch.no_grad():
         batch = make_batch([arrays])
-        answer = network(batch)
+        answers = [network(batch) for network in networks]
+        final = torch.stack([answer.final for answer in answers]).mean(0)
         heat = torch.from_numpy(described.values[..., PRIOR]) * (batch.bone >= 0)
-        share = ((1 - CAUTION) * answer.final + CAUTION * heat).softmax(-1).numpy()
-        doubt = torch.sigmoid(answer.doubt).numpy()
+        share = ((1 - CAUTION) * final + CAUTION * heat).softmax(-1).numpy()
+        doubt = torch.stack([torch.sigmoid(answer.doubt) for answer in answers]).mean(0).numpy()
     weights = np.zeros((len(share), bones), np.float32)
     row, token = np.nonzero(described.bone >= 0)
     weights[row, described.bone[row, token]] = share[row, token]

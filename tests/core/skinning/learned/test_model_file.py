@@ -23,19 +23,21 @@ CARD = ModelCard(("Foxes", "Fish"), ("Cows",), {"steps": 3})
 
 def test_a_model_comes_back(tmp_path):
     torch.manual_seed(0)
-    network = PriorNetwork(Shape(width=32, heads=2))
-    save_model(network, tmp_path / "a.safetensors", CARD)
+    networks = [PriorNetwork(Shape(width=32, heads=2)) for _ in range(2)]
+    save_model(networks, tmp_path / "a.safetensors", CARD)
     again = load_model(tmp_path / "a.safetensors")
-    assert again.shape == network.shape
+    assert len(again) == 2
     assert read_card(tmp_path / "a.safetensors") == CARD
-    for name, value in network.state_dict().items():
-        torch.testing.assert_close(again.state_dict()[name], value, rtol=1e-3, atol=1e-4)
+    for network, same in zip(networks, again, strict=True):
+        assert same.shape == network.shape
+        for name, value in network.state_dict().items():
+            torch.testing.assert_close(same.state_dict()[name], value, rtol=1e-3, atol=1e-4)
     assert [path.name for path in tmp_path.iterdir()] == ["a.safetensors"]
 
 
 def test_the_model_that_never_saw_a_family_is_found(tmp_path):
-    save_model(PriorNetwork(), tmp_path / "a.safetensors", CARD)
-    save_model(PriorNetwork(), tmp_path / "b.safetensors", ModelCard(("Fish", "Cows"), (), {}))
+    save_model([PriorNetwork()], tmp_path / "a.safetensors", CARD)
+    save_model([PriorNetwork()], tmp_path / "b.safetensors", ModelCard(("Fish", "Cows"), (), {}))
     assert models_without("Cows", tmp_path) == tmp_path / "b.safetensors"
     assert models_without("Fish", tmp_path) == tmp_path / "a.safetensors"
     assert models_without("Birds", tmp_path) is None
@@ -58,4 +60,4 @@ def test_the_shipped_model_is_small_and_says_what_it_left_out():
     assert "OpenDungeons" in card.left_out
     assert "mtg_character" not in card.families
     assert "Quaternius animated animals" in card.families
-    load_model(SHIPPED)
+    assert len(load_model(SHIPPED)) == 2

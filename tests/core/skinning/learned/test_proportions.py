@@ -13,7 +13,8 @@ from gskin_addon.core.skinning.learned.proportions import reshape, shape_transfo
 
 ARM = Skeleton(
     ("upper", "fore", "hand", "other"), np.array([-1, 0, 1, 0]),
-    np.array([[0, 0, 0], [2, 0, 0], [3, 0, 0.5], [2, 0, 0]]), np.array([[2, 0, 0], [3, 0, 0.5], [3.5, 0, 0.5], [2, 1.0, 0]]),
+    np.array([[0, 0, 0], [2, 0, 0], [3, 0, 0.5], [2, 0, 0]]),
+    np.array([[2, 0, 0], [3, 0, 0.5], [3.5, 0, 0.5], [2, 1.0, 0]]),
 )  # fmt: skip
 STRAIGHT = np.broadcast_to(np.eye(3), (4, 3, 3))
 
