@@ -9,7 +9,6 @@ import json
 import os
 import signal
 import sys
-import threading
 import time
 import traceback
 from collections.abc import Callable, Mapping
@@ -53,7 +52,7 @@ def main(folder: str | Path, pipeline: Pipeline | None = None) -> int:
     `pipeline` is core/worker/pipeline.run unless another is given.
     """
     send = take_stdout()
-    cancelled = threading.Event()
+    cancelled = lifeline.Flag()
     if os.name == "posix":
         # These normally reach us through the supervisor, as a closed stdin.
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
@@ -74,7 +73,7 @@ def main(folder: str | Path, pipeline: Pipeline | None = None) -> int:
 def run_job(
     folder: Path,
     send: Callable[[dict[str, Any]], None],
-    cancelled: threading.Event,
+    cancelled: lifeline.Flag,
     pipeline: Pipeline | None = None,
 ) -> None:
     """Do the job in `folder`, reporting by `send`; raises what goes wrong.
@@ -163,7 +162,7 @@ def _machine() -> dict[str, Any]:
     return facts
 
 
-def _give_up(cancelled: threading.Event) -> None:
+def _give_up(cancelled: lifeline.Flag) -> None:
     cancelled.set()
     time.sleep(_LAST_RESORT)
     os._exit(130)

@@ -14,6 +14,22 @@ from collections.abc import Callable
 _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 
 
+class Flag:
+    """Set once, seen by all threads. Unlike threading.Event it holds no lock, so a signal handler may set it even
+    where it interrupts its own thread in the middle of `set`."""
+
+    def __init__(self) -> None:
+        self._up = False
+
+    def set(self) -> None:
+        """From now on `is_set`."""
+        self._up = True
+
+    def is_set(self) -> bool:
+        """Whether anyone has set it."""
+        return self._up
+
+
 def die_with_parent(signal_number: int) -> None:
     """Ask Linux to send this process `signal_number` when its parent ends; elsewhere nothing happens.
 

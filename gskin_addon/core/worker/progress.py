@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 import math
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from ..errors import Cancelled
+from .lifeline import Flag
 
 
 class RemainingTime:
@@ -56,7 +56,7 @@ class Progress:
     def __init__(
         self,
         send: Callable[[dict[str, Any]], None],
-        cancelled: threading.Event,
+        cancelled: Flag,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._send, self._cancelled, self._clock = send, cancelled, clock

@@ -36,7 +36,7 @@ def supervise(command: Sequence[str]) -> int:
     Stops it when a piped stdin closes, on SIGTERM, SIGINT or SIGHUP, when our parent or our reader is gone.
     The last line out is always {"stage": "done"} or {"stage": "error", "error", "traceback", "exit_code"}.
     """
-    stop = threading.Event()
+    stop = lifeline.Flag()
 
     def on_signal(number: int, frame: FrameType | None) -> None:
         stop.set()
@@ -62,7 +62,7 @@ def supervise(command: Sequence[str]) -> int:
             _close(child.stdin)
         if asked_at is not None and time.monotonic() - asked_at > GRACE:
             child.kill()
-        stop.wait(_POLL) if asked_at is None else time.sleep(_POLL)
+        time.sleep(_POLL)
     relay.thread.join(timeout=1.0)
     if not relay.final:
         relay.send(_last_word(child.returncode, stop.is_set()))
@@ -74,7 +74,7 @@ def supervise(command: Sequence[str]) -> int:
 class _Relay:
     """Copies the child's lines to our stdout, whole lines only, from a thread."""
 
-    def __init__(self, child: subprocess.Popen[bytes], stop: threading.Event) -> None:
+    def __init__(self, child: subprocess.Popen[bytes], stop: lifeline.Flag) -> None:
         self.final = False
         self._child, self._stop = child, stop
         self.thread = threading.Thread(target=self._copy, name="gskin-relay", daemon=True)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import tempfile
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -67,7 +66,7 @@ def _run(folder: Path, settings: dict[str, Any], send: Callable[[dict[str, Any]]
     if settings.get("mesh"):
         settings["mesh"] = write_mesh(folder, verts, faces)
     write_job(folder, cloud, skeleton, settings)
-    compute.run_job(folder, send, threading.Event())
+    compute.run_job(folder, send, lifeline.Flag())
 
 
 class _Relay:

@@ -113,6 +113,32 @@ def test_cancel_within_a_second(tmp_path, act, how):
     assert not contract.is_finished(folder)
 
 
+@posix
+def test_a_signal_may_come_at_any_moment():
+    """Also while the main thread holds the lock of a threading.Event, which its handler then must not want."""
+    code = textwrap.dedent("""
+        import signal, sys, threading
+        from gskin_addon.core.worker import supervisor
+
+        times = 0
+
+        def trace(frame, event, argument):
+            global times
+            heard = signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL
+            if heard and event == "line" and times < 200 and frame.f_code.co_filename == threading.__file__:
+                times += 1
+                signal.raise_signal(signal.SIGTERM)
+            return trace
+
+        sys.settrace(trace)
+        sys.exit(supervisor.supervise([sys.executable, "-c", "import time; time.sleep(60)"]))
+    """)
+    run = subprocess.run(
+        [sys.executable, "-c", code], stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=10
+    )
+    assert run.returncode == 130, run.stderr
+
+
 @linux
 def test_dies_with_a_parent_that_was_killed(tmp_path):
     folder = jobs.make_job(tmp_path, act="deaf")

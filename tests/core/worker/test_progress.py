@@ -1,12 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 from __future__ import annotations
 
-import threading
-
 import numpy as np
 import pytest
 
 from gskin_addon.core.errors import Cancelled
+from gskin_addon.core.worker.lifeline import Flag
 from gskin_addon.core.worker.progress import Progress, RemainingTime
 
 
@@ -41,7 +40,7 @@ def test_nothing_is_said_without_a_measure():
 
 def test_lines_are_thinned_and_never_fall():
     now, lines = [0.0], []
-    progress = Progress(lines.append, threading.Event(), clock=lambda: now[0])
+    progress = Progress(lines.append, Flag(), clock=lambda: now[0])
     for step in range(1000):
         now[0] += 0.01
         progress("learn" if step < 500 else "write", np.sin(step / 300), {"l1": 1.0}, "")
@@ -53,7 +52,7 @@ def test_lines_are_thinned_and_never_fall():
 
 
 def test_cancelling_raises():
-    cancelled = threading.Event()
+    cancelled = Flag()
     progress = Progress(lambda line: None, cancelled)
     progress("learn", 0.1)
     cancelled.set()
