@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gskin_addon.core.rig.kinematics import pose_transforms
-from gskin_addon.core.rig.poses import random_poses
+from gskin_addon.core.rig.poses import random_axes, random_poses
 from gskin_addon.core.rig.skeleton import Skeleton
 
 POSES = 24
@@ -19,7 +19,6 @@ POSE_SEED = 977
 def held_out_poses(skeleton: Skeleton, count: int, seed: int) -> NDArray[np.float64]:
     """`count` random poses (P, B, 4, 4) of Sec. IV about random axes."""
     rng = np.random.default_rng(seed)
-    axes = rng.normal(size=(count, 3))
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    axes = random_axes(count, rng)
     transforms: NDArray[np.float64] = pose_transforms(skeleton, random_poses(skeleton, axes, count, rng))
     return transforms

@@ -16,7 +16,7 @@ from .console import ProgressPrinter, say
 from .paths import check_output
 
 if TYPE_CHECKING:
-    from ..core.skinning.learned.training import Trainer
+    from ..core.skinning.learned.training import Syllabus, Trainer
 
 _MODULES = ("torch", "numba", "scipy", "safetensors")
 _CHECKPOINT_SECONDS = 30.0
@@ -55,11 +55,10 @@ def run(options: argparse.Namespace) -> None:
     say(f"The model is in '{options.out}'.")
 
 
-def _train(options: argparse.Namespace, syllabus: object, left: tuple[str, ...], clock: _Clock) -> None:
+def _train(options: argparse.Namespace, syllabus: Syllabus, left: tuple[str, ...], clock: _Clock) -> None:
     from ..core.skinning.learned.model_file import ModelCard, save_model
-    from ..core.skinning.learned.training import Schedule, Syllabus, Trainer
+    from ..core.skinning.learned.training import Schedule, Trainer
 
-    assert isinstance(syllabus, Syllabus)
     seeds = range(options.seed, options.seed + options.networks)
     trainers = [Trainer(syllabus, Schedule(steps=options.steps, seed=seed)) for seed in seeds]
     kept = [options.out.with_suffix(f".{number}.checkpoint") for number in range(options.networks)]

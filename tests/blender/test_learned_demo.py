@@ -13,7 +13,7 @@ pytest.importorskip("bpy")
 
 from gskin_addon.core.rig.kinematics import pose_transforms
 from gskin_addon.core.rig.lbs import skin_points
-from gskin_addon.core.rig.poses import random_poses
+from gskin_addon.core.rig.poses import random_axes, random_poses
 from gskin_addon.core.skinning.initial import initial_weights_geodesic
 from gskin_addon.core.skinning.learned.predict import learned_weights
 from gskin_addon.scene.armature import read_skeleton
@@ -38,9 +38,7 @@ def test_learned_weights_of_brindle_are_better_than_distances(count, share):
         cloud.means, cloud.opacities, skeleton, scales=cloud.scales, quats=cloud.quats
     )
     rng = np.random.default_rng(977)
-    axes = rng.normal(size=(24, 3))
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    poses = pose_transforms(skeleton, random_poses(skeleton, axes, 24, rng))
+    poses = pose_transforms(skeleton, random_poses(skeleton, random_axes(24, rng), 24, rng))
     points = cloud.means.astype(float)
     true = skin_points(points, truth, poses)
     errors = [np.linalg.norm(skin_points(points, w, poses) - true, axis=-1).mean() for w in (learned, plain)]

@@ -30,10 +30,13 @@ from .provider import GuidanceContext, to_bytes
 
 HANDLE_STRENGTH = 3.0
 FACING_STRENGTH = 6.0
-"""Of handles that feel `facing_distances`; see `learned/body.py`."""
+"""Of handles that feel `facing_distances`: with 4, 6 and 9 the heat weights keep 0.659, 0.641 and 0.641 of the initial
+weights' error on 83 assets, and on the animals among them 0.577, 0.584 and 0.599."""
+
 ITERATIONS = 3
 TIES = 1.0001
 CLOSEST = 1e-3
+"""Distances below this share of the diagonal count as this."""
 
 
 class ElasticBody:

@@ -25,6 +25,12 @@ def turnable_bones(skeleton: Skeleton) -> Array:
     return np.arange(skeleton.count)
 
 
+def random_axes(count: int, rng: np.random.Generator) -> Array:
+    """(count, 3) unit vectors, all directions alike."""
+    axes = rng.normal(size=(count, 3))
+    return np.asarray(axes / np.linalg.norm(axes, axis=1, keepdims=True))
+
+
 def random_poses(
     skeleton: Skeleton,
     axis: ArrayLike,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...guidance.elastic import ElasticBody
+from ...guidance.elastic import CLOSEST, FACING_STRENGTH, ElasticBody
 from ...rig.segments import bone_segments
 from ...rig.skeleton import Skeleton
 from ...splats.cloud import SplatCloud
@@ -24,13 +24,6 @@ Array = NDArray[Any]
 
 RESOLUTION = 72
 HEAT_NODES = 2000
-HANDLES = 6.0
-"""Strength of the handles in `heat`: 4, 6 and 9 leave 0.659, 0.641 and 0.641 of the initial weights' error on 83
-assets, and on the animals among them 0.577, 0.584 and 0.599."""
-
-CLOSEST = 1e-3
-"""Distances below this share of the diagonal count as this."""
-
 DIFFUSE, HARD = 0.15, 5.0
 """Handle strengths of the weak and the strong equilibrium, as parts of the usual one's."""
 
@@ -76,7 +69,7 @@ def look_at(
     fine = voxelize(cloud.means, cloud.opacities, 2 * resolution, scales=cloud.scales, quats=cloud.quats)
     out = agreed(points, outward(points, normals, fine), distances.min(axis=1), size)
     faced = facing_distances(points, out, segments, ways, CLOSEST * size)
-    body = ElasticBody(part, distances, reach=faced, strength=HANDLES, nodes=HEAT_NODES)
+    body = ElasticBody(part, distances, reach=faced, strength=FACING_STRENGTH, nodes=HEAT_NODES)
     plain = ElasticBody(part, distances, nodes=HEAT_NODES).weights()
     reach = Reach(
         distances, faced, body.weights(), body.weights(strength=DIFFUSE), body.weights(strength=HARD), plain

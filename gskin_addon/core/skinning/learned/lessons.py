@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...rig.kinematics import pose_transforms
 from ...rig.lbs import skin_points
-from ...rig.poses import random_poses
+from ...rig.poses import random_axes, random_poses
 from ...rig.skeleton import Skeleton
 from . import creatures
 from .body import look_at
@@ -107,9 +107,7 @@ def make_lesson(subject: Subject, rng: np.random.Generator, rows: int = ROWS) ->
 
 def posed_lesson(lesson: Lesson, count: int, rng: np.random.Generator) -> Array:
     """`count` random poses (P, B, 4, 4) as the paper draws them, about random axes."""
-    axes = rng.normal(size=(count, 3))
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    skeleton = lesson.skeleton()
+    skeleton, axes = lesson.skeleton(), random_axes(count, rng)
     return pose_transforms(skeleton, random_poses(skeleton, axes, count, rng))
 
 

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...rig.kinematics import joints_posed
+from ...rig.poses import random_axes
 from ...rig.quaternion import axis_angle_to_matrix
 from ...rig.skeleton import Skeleton
 from .examples import Mesh
@@ -28,12 +30,12 @@ def reshape(mesh: Mesh, rng: np.random.Generator) -> Mesh:
     strength = rng.random(3)
     stretch = np.exp(strength[0] * STRETCH * rng.normal(size=count).clip(-2, 2))
     girth = np.exp(strength[1] * GIRTH * rng.normal(size=count).clip(-2, 2))
-    axes = rng.normal(size=(count, 3))
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    axes = random_axes(count, rng)
     angles = np.radians(strength[2] * BEND * rng.normal(size=count).clip(-2.5, 2.5))
     transforms = shape_transforms(mesh.skeleton, stretch, girth, axis_angle_to_matrix(axes, angles))
     skeleton = mesh.skeleton
-    heads, tails = (_each(transforms, ends) for ends in (skeleton.heads, skeleton.tails))
+    heads, tails = joints_posed(skeleton, transforms)
+    # Not skin_points: a vertex without weights stays where it is.
     verts = mesh.verts + np.einsum("vb,vbk->vk", mesh.weights, _moves(transforms, mesh.verts))
     return replace(mesh, verts=verts, skeleton=Skeleton(skeleton.names, skeleton.parents, heads, tails))
 
@@ -58,11 +60,6 @@ def shape_transforms(skeleton: Skeleton, stretch: Array, girth: Array, turns: Ar
     return np.concatenate([linear, (place - np.einsum("bij,bj->bi", linear, heads))[:, :, None]], axis=2)
 
 
-def _each(transforms: Array, points: Array) -> Array:
-    """Point b by transform b."""
-    return np.einsum("bij,bj->bi", transforms[:, :, :3], points) + transforms[:, :, 3]
-
-
 def _moves(transforms: Array, points: Array) -> Array:
-    """(V, B, 3): how far each transform moves each point; a vertex without weights stays where it is."""
+    """(V, B, 3): how far each transform moves each point."""
     return np.einsum("bij,vj->vbi", transforms[:, :, :3] - np.eye(3), points) + transforms[:, :, 3]

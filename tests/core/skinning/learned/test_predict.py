@@ -10,7 +10,7 @@ import pytest
 
 from gskin_addon.core.rig.kinematics import pose_transforms
 from gskin_addon.core.rig.lbs import skin_points
-from gskin_addon.core.rig.poses import random_poses
+from gskin_addon.core.rig.poses import random_axes, random_poses
 from gskin_addon.core.rig.skeleton import Skeleton
 from gskin_addon.core.skinning.initial import initial_weights_geodesic
 from gskin_addon.core.skinning.learned import creatures, predict
@@ -21,9 +21,7 @@ from tests.helpers.limb import make_limb
 
 def posed_distance(points, skeleton, weights, truth):
     rng = np.random.default_rng(977)
-    axes = rng.normal(size=(16, 3))
-    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
-    poses = pose_transforms(skeleton, random_poses(skeleton, axes, 16, rng))
+    poses = pose_transforms(skeleton, random_poses(skeleton, random_axes(16, rng), 16, rng))
     points = points.astype(float)
     return float(
         np.linalg.norm(
