@@ -12,6 +12,11 @@ from .skeleton import Skeleton
 
 SHORT = 0.3
 SHORT_LEAF = 0.2
+ASIDE = 0.5
+"""Cosine below which a bone does not point to a joint that hangs on it."""
+
+FEW = 3
+"""Bones with children from which on their directions can be judged."""
 
 
 @dataclass(frozen=True)
@@ -38,26 +43,54 @@ class BoneSegments:
 def bone_segments(skeleton: Skeleton) -> BoneSegments:
     """From each joint to the next, as the paper defines a bone (Sec. III-A), for any skeleton.
 
-    glTF stores joints, not bones, so an imported bone may end anywhere, often after a hundredth of its
-    limb. A bone much shorter (`SHORT`) than the way to its farthest child is replaced by segments to all of
-    its children. A leaf much shorter (`SHORT_LEAF`) than its parent keeps its direction and gets the
-    parent's length. All other bones are their own head and tail.
+    glTF stores joints, not bones, so imported bones may end anywhere, often after a hundredth of their limb or at a
+    right angle to it. Where that is so of most bones (`invented_tails`), a bone with children is replaced by segments
+    to all of them. Where directions mean nothing, a leaf goes on as the way from its parent went. A leaf much shorter
+    (`SHORT_LEAF`) than that way keeps its direction and gets the way's length, on any skeleton. All other bones are
+    their own head and tail.
     """
     starts, ends, bones = [], [], []
-    reach = np.zeros(skeleton.count)
+    stubs, aside = invented_tails(skeleton)
     lengths = skeleton.lengths
     for bone in range(skeleton.count):
         head, tail = skeleton.heads[bone], skeleton.tails[bone]
         parent = int(skeleton.parents[bone])
-        children = skeleton.heads[skeleton.children(bone)]
-        farthest = float(np.linalg.norm(children - head, axis=1).max(initial=0.0))
+        ways = skeleton.heads[skeleton.children(bone)] - head
+        far = np.linalg.norm(ways, axis=1)
+        farthest = float(far.max(initial=0.0))
+        came = head - skeleton.heads[parent] if parent >= 0 else np.zeros(3)
+        way = float(np.linalg.norm(came))
         tips = tail[None]
-        if lengths[bone] < SHORT * farthest:
-            tips = children[np.linalg.norm(children - head, axis=1) > 1e-3 * farthest]
-        elif len(children) == 0 and parent >= 0 and lengths[bone] < SHORT_LEAF * reach[parent]:
-            tips = (head + (tail - head) / lengths[bone] * reach[parent])[None]
-        reach[bone] = float(np.linalg.norm(tips - head, axis=1).max())
+        if farthest > 0:
+            if aside or (stubs and lengths[bone] < SHORT * farthest):
+                tips = head + ways[far > 1e-3 * farthest]
+        elif way > 0 and aside:
+            tips = (head + came)[None]
+        elif lengths[bone] < SHORT_LEAF * way:
+            tips = (head + (tail - head) / lengths[bone] * way)[None]
         starts += [head] * len(tips)
         ends += list(tips)
         bones += [bone] * len(tips)
     return BoneSegments(np.array(starts), np.array(ends), np.array(bones))
+
+
+def invented_tails(skeleton: Skeleton) -> tuple[bool, bool]:
+    """Whether most bones with children are stubs, and whether most of the others point to none of their children.
+
+    The first is a length much shorter (`SHORT`) than the way to the farthest child. A single such bone is what an
+    artist made.
+    """
+    stubs, aside = [], []
+    for bone in range(skeleton.count):
+        ways = skeleton.heads[skeleton.children(bone)] - skeleton.heads[bone]
+        far = np.linalg.norm(ways, axis=1)
+        own = skeleton.tails[bone] - skeleton.heads[bone]
+        length, farthest = float(np.linalg.norm(own)), float(far.max(initial=0.0))
+        if farthest == 0:
+            continue
+        stubs.append(length < SHORT * farthest)
+        if not stubs[-1]:
+            moved = far > 1e-3 * farthest
+            aside.append(bool((ways[moved] @ own / (far[moved] * length)).max() < ASIDE))
+    return 2 * sum(stubs) > len(stubs), len(aside) >= FEW and 2 * sum(aside) > len(aside)
+

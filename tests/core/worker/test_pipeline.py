@@ -13,7 +13,6 @@ from gskin_addon.core.render.rasterizer import render_cloud
 from gskin_addon.core.rig.kinematics import pose_transforms
 from gskin_addon.core.rig.lbs import skin_points
 from gskin_addon.core.rig.poses import random_poses
-from gskin_addon.core.rig.segments import bone_segments
 from gskin_addon.core.skinning import presets, subset
 from gskin_addon.core.skinning.initial import initial_weights
 from gskin_addon.core.skinning.learned.predict import learned_weights
@@ -190,16 +189,6 @@ def test_bad_settings_are_named(tmp_path, settings, words):
     limb = make_limb(50)
     with pytest.raises(InputError, match=words):
         run(limb.cloud, limb.skeleton, settings, silent, tmp_path)
-
-
-def test_segments_reach_the_next_joint_where_tails_are_invented():
-    limb = make_limb(10)
-    stubs = replace(limb.skeleton, tails=limb.skeleton.heads + (0.01, 0, 0))
-    segments = bone_segments(stubs)
-    np.testing.assert_array_equal(segments.bone, [0, 1, 2])
-    np.testing.assert_allclose(segments.ends, limb.skeleton.tails)  # the leaf takes its parent's length
-    honest = bone_segments(limb.skeleton)
-    np.testing.assert_allclose(honest.ends, limb.skeleton.tails)
 
 
 def test_a_rasterizer_that_is_not_there_is_refused_before_any_work(tmp_path, monkeypatch):
