@@ -22,7 +22,10 @@ from .parts import Parts, even_subset, find_parts
 
 Array = NDArray[Any]
 
-RESOLUTION = 72
+RESOLUTION, NORMAL_RESOLUTION = 110, 144
+"""Voxels along the longest side for distances and for which way is out, where the splats are dense enough. With 72
+for distances the errors on 34 bodies of 20,000 splats are 1 to 3 % higher."""
+
 HEAT_NODES = 2000
 DIFFUSE, HARD = 0.15, 5.0
 """Handle strengths of the weak and the strong equilibrium, as parts of the usual one's."""
@@ -66,7 +69,7 @@ def look_at(
     distances = segments.nearest(ways)
     points, colors = part.means.astype(np.float64), part.base_colors()
     normals = surface_normals(points)
-    fine = voxelize(cloud.means, cloud.opacities, 2 * resolution, scales=cloud.scales, quats=cloud.quats)
+    fine = voxelize(cloud.means, cloud.opacities, NORMAL_RESOLUTION, scales=cloud.scales, quats=cloud.quats)
     out = agreed(points, outward(points, normals, fine), distances.min(axis=1), size)
     faced = facing_distances(points, out, segments, ways, CLOSEST * size)
     body = ElasticBody(part, distances, reach=faced, strength=FACING_STRENGTH, nodes=HEAT_NODES)
