@@ -16,7 +16,7 @@ from ..core.splats.axes import UP_AXES
 from ..core.worker.settings import FRONTS, PRESET_FIELD
 
 VERSION = "0.1.0"
-TRAINING_STEPS = 600
+TRAINING_STEPS = 500
 TRAINING_CREATURES = 480
 TRAINING_NETWORKS = 2
 VIEWS = ("front", "back", "front-left", "front-right", "left", "right")
