@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from .skeleton import Skeleton
 
-SHORT = 0.3
-SHORT_LEAF = 0.2
+SHORT, SHORT_LEAF = 0.3, 0.2
+"""Share of the way to its farthest child, for a leaf of the way from its parent, below which a bone is a stub."""
+
 ASIDE = 0.5
 """Cosine below which a bone does not point to a joint that hangs on it."""
 
@@ -44,10 +45,10 @@ def bone_segments(skeleton: Skeleton) -> BoneSegments:
     """From each joint to the next, as the paper defines a bone (Sec. III-A), for any skeleton.
 
     glTF stores joints, not bones, so imported bones may end anywhere, often after a hundredth of their limb or at a
-    right angle to it. Where that is so of most bones (`invented_tails`), a bone with children is replaced by segments
-    to all of them. Where directions mean nothing, a leaf goes on as the way from its parent went. A leaf much shorter
-    (`SHORT_LEAF`) than that way keeps its direction and gets the way's length, on any skeleton. All other bones are
-    their own head and tail.
+    right angle to it (`invented_tails`). Where most bones are stubs, each stub with children becomes segments to all of
+    them. Where most point aside, every bone with children does, and a leaf goes on as the way from its parent went.
+    Elsewhere a leaf that is a stub keeps its direction and gets the length of that way. All other bones are their own
+    head and tail.
     """
     starts, ends, bones = [], [], []
     stubs, aside = invented_tails(skeleton)
@@ -55,15 +56,13 @@ def bone_segments(skeleton: Skeleton) -> BoneSegments:
     for bone in range(skeleton.count):
         head, tail = skeleton.heads[bone], skeleton.tails[bone]
         parent = int(skeleton.parents[bone])
-        ways = skeleton.heads[skeleton.children(bone)] - head
-        far = np.linalg.norm(ways, axis=1)
-        farthest = float(far.max(initial=0.0))
+        ways, farthest = _ways_down(skeleton, bone)
         came = head - skeleton.heads[parent] if parent >= 0 else np.zeros(3)
         way = float(np.linalg.norm(came))
         tips = tail[None]
         if farthest > 0:
             if aside or (stubs and lengths[bone] < SHORT * farthest):
-                tips = head + ways[far > 1e-3 * farthest]
+                tips = head + ways
         elif way > 0 and aside:
             tips = (head + came)[None]
         elif lengths[bone] < SHORT_LEAF * way:
@@ -82,15 +81,20 @@ def invented_tails(skeleton: Skeleton) -> tuple[bool, bool]:
     """
     stubs, aside = [], []
     for bone in range(skeleton.count):
-        ways = skeleton.heads[skeleton.children(bone)] - skeleton.heads[bone]
-        far = np.linalg.norm(ways, axis=1)
-        own = skeleton.tails[bone] - skeleton.heads[bone]
-        length, farthest = float(np.linalg.norm(own)), float(far.max(initial=0.0))
+        ways, farthest = _ways_down(skeleton, bone)
         if farthest == 0:
             continue
+        own = skeleton.tails[bone] - skeleton.heads[bone]
+        length = float(np.linalg.norm(own))
         stubs.append(length < SHORT * farthest)
         if not stubs[-1]:
-            moved = far > 1e-3 * farthest
-            aside.append(bool((ways[moved] @ own / (far[moved] * length)).max() < ASIDE))
+            aside.append(bool((ways @ own / (np.linalg.norm(ways, axis=1) * length)).max() < ASIDE))
     return 2 * sum(stubs) > len(stubs), len(aside) >= FEW and 2 * sum(aside) > len(aside)
 
+
+def _ways_down(skeleton: Skeleton, bone: int) -> tuple[NDArray[np.float64], float]:
+    """From the bone's head to those of its children that lie elsewhere (n, 3), and the longest way, 0 without any."""
+    ways = skeleton.heads[skeleton.children(bone)] - skeleton.heads[bone]
+    far = np.linalg.norm(ways, axis=1)
+    farthest = float(far.max(initial=0.0))
+    return ways[far > 1e-3 * farthest], farthest

@@ -158,7 +158,7 @@ class WorkerClient:
                         on_progress(event)
                 if self.state == "running":
                     time.sleep(interval)
-        except BaseException:
+        except BaseException:  # Ctrl-C and exits too: the worker must not outlive its caller; passed on
             self.stop()
             raise
         return self.result()

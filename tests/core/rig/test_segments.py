@@ -55,7 +55,10 @@ def test_a_leaf_turned_aside_goes_on_as_its_parent_went():
 def test_a_short_leaf_keeps_its_direction():
     limb = make_limb(10)
     stubs = replace(limb.skeleton, tails=limb.skeleton.heads + (0.01, 0, 0))
-    np.testing.assert_allclose(bone_segments(stubs).ends, limb.skeleton.tails)
+    segments = bone_segments(stubs)
+    np.testing.assert_array_equal(segments.bone, [0, 1, 2])
+    np.testing.assert_allclose(segments.ends, limb.skeleton.tails)
+    np.testing.assert_allclose(bone_segments(limb.skeleton).ends, limb.skeleton.tails)
 
 
 def test_a_leaf_is_no_longer_than_its_own_way():
