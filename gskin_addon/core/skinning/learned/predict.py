@@ -15,6 +15,7 @@ from ...rig.skeleton import Skeleton
 from ...splats.cloud import SplatCloud
 from .body import Body, look_at
 from .features import PRIOR
+from .held import hold
 from .model_file import SHIPPED, load_model
 from .parts import apart
 
@@ -46,7 +47,7 @@ def learned_weights(cloud: SplatCloud, skeleton: Skeleton, model: Path | None = 
     networks = _loaded(model or SHIPPED)
     body = look_at(cloud, skeleton, limit=NODES)
     weights, confidence = predict_nodes(networks, body, skeleton.count)
-    return spread(cloud, body, weights, confidence)
+    return spread(cloud, body, hold(weights, body.points, skeleton, body.size), confidence)
 
 
 def heat_weights(cloud: SplatCloud, skeleton: Skeleton) -> Array:
