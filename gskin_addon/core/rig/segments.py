@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,13 @@ ASIDE = 0.5
 
 FEW = 3
 """Bones with children from which on their directions can be judged."""
+
+ALIKE, AGREE, STRAIGHT = 0.02, 1 / 6, 0.999
+"""How close the lengths of bones over the ways to their children are when they have one cause; share of the bones of
+which this is true when all tails are wrong by one factor; cosine from which on a bone points to a child."""
+
+LONG = 1.2
+"""Share of the way to its farthest child from which on a bone set right by that factor is still too long."""
 
 
 @dataclass(frozen=True)
@@ -45,12 +52,17 @@ def bone_segments(skeleton: Skeleton) -> BoneSegments:
     """From each joint to the next, as the paper defines a bone (Sec. III-A), for any skeleton.
 
     glTF stores joints, not bones, so imported bones may end anywhere, often after a hundredth of their limb or at a
-    right angle to it (`invented_tails`). Where most bones are stubs, each stub with children becomes segments to all of
-    them. Where most point aside, every bone with children does, and a leaf goes on as the way from its parent went.
-    Elsewhere a leaf that is a stub keeps its direction and gets the length of that way. All other bones are their own
-    head and tail.
+    right angle to it (`invented_tails`). Lengths that are wrong by one factor are set right first (`tail_scale`), as
+    units get lost on the way through FBX. Where most bones are stubs, each stub with children becomes segments to all
+    of them; after setting lengths right, also each bone that ends beyond them. Where most point aside, every bone with
+    children does, and a leaf goes on as the way from its parent went. Elsewhere a leaf that is a stub keeps its
+    direction and gets the length of that way. All other bones are their own head and tail.
     """
     starts, ends, bones = [], [], []
+    scale = tail_scale(skeleton)
+    if scale != 1:
+        tails = skeleton.heads + (skeleton.tails - skeleton.heads) / scale
+        skeleton = replace(skeleton, tails=tails)
     stubs, aside = invented_tails(skeleton)
     lengths = skeleton.lengths
     for bone in range(skeleton.count):
@@ -61,7 +73,8 @@ def bone_segments(skeleton: Skeleton) -> BoneSegments:
         way = float(np.linalg.norm(came))
         tips = tail[None]
         if farthest > 0:
-            if aside or (stubs and lengths[bone] < SHORT * farthest):
+            short, long = stubs and lengths[bone] < SHORT * farthest, scale != 1 and lengths[bone] > LONG * farthest
+            if aside or short or long:
                 tips = head + ways
         elif way > 0 and aside:
             tips = (head + came)[None]
@@ -71,6 +84,30 @@ def bone_segments(skeleton: Skeleton) -> BoneSegments:
         ends += list(tips)
         bones += [bone] * len(tips)
     return BoneSegments(np.array(starts), np.array(ends), np.array(bones))
+
+
+def tail_scale(skeleton: Skeleton) -> float:
+    """The factor by which all bones are too long, below 1 where they are too short; 1 where they show none.
+
+    Bones of most rigs end where a child begins; their lengths are then the ways to those children, or, after an
+    import in other units, one and the same multiple of them.
+    """
+    ratios: list[NDArray[np.float64]] = []
+    lengths = skeleton.lengths
+    for bone in np.flatnonzero(lengths > 0):
+        ways, farthest = _ways_down(skeleton, int(bone))
+        if farthest == 0:
+            continue
+        far = np.linalg.norm(ways, axis=1)
+        cosine = ways @ (skeleton.tails[bone] - skeleton.heads[bone]) / (far * lengths[bone])
+        if (cosine > STRAIGHT).any():
+            ratios.append(np.log(lengths[bone] / far[cosine > STRAIGHT]))
+    every = np.concatenate([*ratios, np.zeros(1)])  # the last: as they should be
+    agree = np.array([sum(bool((abs(r - value) < ALIKE).any()) for r in ratios) for value in every])
+    best = int(np.argmax(agree))
+    if agree[best] < max(FEW, AGREE * len(ratios)) or agree[best] <= agree[-1] or abs(every[best]) < ALIKE:
+        return 1.0
+    return float(np.exp(np.median(every[abs(every - every[best]) < ALIKE])))
 
 
 def invented_tails(skeleton: Skeleton) -> tuple[bool, bool]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gskin_addon.core.rig.segments import bone_segments, invented_tails
+from gskin_addon.core.rig.segments import bone_segments, invented_tails, tail_scale
 from gskin_addon.core.rig.skeleton import Skeleton
 from tests.helpers.limb import make_limb
 
@@ -91,3 +91,46 @@ def test_bones_without_length_and_children_in_one_place():
     segments = bone_segments(skeleton)
     np.testing.assert_array_equal(segments.bone, [0, 1, 2])
     assert np.isfinite(segments.ends).all()
+
+
+def scaled(skeleton: Skeleton, factor: float) -> Skeleton:
+    return replace(skeleton, tails=skeleton.heads + factor * (skeleton.tails - skeleton.heads))
+
+
+@pytest.mark.parametrize("factor", [0.01, 0.3, 0.9, 2.5, 100])
+def test_lengths_wrong_by_one_factor_are_set_right(factor):
+    """Leaves too, which no child would tell; one bone of another length does not matter."""
+    honest = figure()
+    assert tail_scale(honest) == 1
+    wrong = scaled(honest, factor)
+    assert tail_scale(wrong) == pytest.approx(factor)
+    np.testing.assert_allclose(bone_segments(wrong).ends, honest.tails, atol=1e-9)
+    odd = wrong.tails.copy()
+    odd[1] = wrong.heads[1] + 0.7 * (wrong.tails[1] - wrong.heads[1])
+    np.testing.assert_allclose(bone_segments(replace(wrong, tails=odd)).ends[2:], honest.tails[2:], atol=1e-9)
+
+
+def test_too_few_bones_that_agree_show_no_factor():
+    limb = make_limb(10)  # two bones with a child
+    assert tail_scale(scaled(limb.skeleton, 2.5)) == 1
+    honest = figure()
+    tails = honest.tails.copy()
+    for number, bone in enumerate((0, 1, 3, 5)):  # all bones with children, each by a factor of its own
+        tails[bone] = honest.heads[bone] + 1.5**number * 0.4 * (tails[bone] - honest.heads[bone])
+    assert tail_scale(replace(honest, tails=tails)) == 1
+
+
+def test_what_is_too_long_when_set_right_spans_to_its_children():
+    honest = figure()
+    tails = honest.tails.copy()
+    tails[0] = honest.heads[0] + (0, 0, 9)
+    assert tail_scale(scaled(replace(honest, tails=tails), 0.01)) == pytest.approx(0.01)
+    assert spans(scaled(replace(honest, tails=tails), 0.01), "hips") == [(-1, 0, 9), (0, 0, 13), (1, 0, 9)]
+    assert spans(replace(honest, tails=tails), "hips") == [(0, 0, 19)]  # so its artist made it
+
+
+def test_a_factor_does_not_hang_on_place_turn_or_size():
+    honest = scaled(figure(), 2.5)
+    turn = 0.03 * np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
+    moved = replace(honest, heads=honest.heads @ turn.T + 7, tails=honest.tails @ turn.T + 7)
+    assert tail_scale(moved) == pytest.approx(2.5)
