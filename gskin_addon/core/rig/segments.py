@@ -23,8 +23,9 @@ ALIKE, AGREE, STRAIGHT = 0.02, 1 / 6, 0.999
 """How close the lengths of bones over the ways to their children are when they have one cause; share of the bones of
 which this is true when all tails are wrong by one factor; cosine from which on a bone points to a child."""
 
-LONG = 1.2
-"""Share of the way to its farthest child from which on a bone set right by that factor is still too long."""
+LONG, OFF = 1.2, 0.25
+"""Shares of the way to its farthest child: length from which on a bone set right by that factor is still too long;
+distance of its end from its only child from which on a root is a handle for the whole."""
 
 
 @dataclass(frozen=True)
@@ -54,9 +55,10 @@ def bone_segments(skeleton: Skeleton) -> BoneSegments:
     glTF stores joints, not bones, so imported bones may end anywhere, often after a hundredth of their limb or at a
     right angle to it (`invented_tails`). Lengths that are wrong by one factor are set right first (`tail_scale`), as
     units get lost on the way through FBX. Where most bones are stubs, each stub with children becomes segments to all
-    of them; after setting lengths right, also each bone that ends beyond them. Where most point aside, every bone with
-    children does, and a leaf goes on as the way from its parent went. Elsewhere a leaf that is a stub keeps its
-    direction and gets the length of that way. All other bones are their own head and tail.
+    of them; after setting lengths right, also each bone that ends beyond them, and each root that ends elsewhere than
+    at its only child. Where most point aside, every bone with children does, and a leaf goes on as the way from its
+    parent went. Elsewhere a leaf that is a stub keeps its direction and gets the length of that way. All other bones
+    are their own head and tail.
     """
     starts, ends, bones = [], [], []
     scale = tail_scale(skeleton)
@@ -74,7 +76,9 @@ def bone_segments(skeleton: Skeleton) -> BoneSegments:
         tips = tail[None]
         if farthest > 0:
             short, long = stubs and lengths[bone] < SHORT * farthest, scale != 1 and lengths[bone] > LONG * farthest
-            if aside or short or long:
+            off = np.linalg.norm(ways - (tail - head), axis=1).min() > OFF * farthest
+            handle = scale != 1 and parent < 0 and len(ways) == 1 and off
+            if aside or short or long or handle:
                 tips = head + ways
         elif way > 0 and aside:
             tips = (head + came)[None]

@@ -129,6 +129,15 @@ def test_what_is_too_long_when_set_right_spans_to_its_children():
     assert spans(replace(honest, tails=tails), "hips") == [(0, 0, 19)]  # so its artist made it
 
 
+def test_a_root_that_leads_elsewhere_spans_to_its_only_child():
+    honest = figure()
+    names, parents = ("handle", *honest.names), np.array([-1, *(honest.parents + 1)])
+    heads, tails = np.vstack([(0, 4, 0), honest.heads]), np.vstack([(0, 4, 9), honest.tails])
+    skeleton = Skeleton(names, parents, heads, tails)
+    assert spans(skeleton, "handle") == [(0, 4, 9)]
+    assert spans(scaled(skeleton, 0.01), "handle") == [(0, 0, 10)]
+
+
 def test_a_factor_does_not_hang_on_place_turn_or_size():
     honest = scaled(figure(), 2.5)
     turn = 0.03 * np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])

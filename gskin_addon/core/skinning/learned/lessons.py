@@ -29,7 +29,7 @@ ROWS = 500
 RESHAPED = 0.6
 """Share of an asset's further lessons in which it has other proportions and another rest pose."""
 
-VERSION = 6
+VERSION = 7
 """Of the lesson files; other versions are made anew."""
 
 
