@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from benchmarks.assets import RiggedSplats, Surface
 from gskin_addon.core.render.camera import Camera, paper_views, percentile_bounds
 from gskin_addon.core.render.rasterizer import render_cloud
-from gskin_addon.core.rig.segments import bone_segments
+from gskin_addon.core.rig.segments import bone_segments, segment_distance
 from gskin_addon.core.rig.skeleton import Skeleton
 from gskin_addon.core.splats.cloud import SplatCloud
 
@@ -77,13 +77,6 @@ class Method:
 
     make: Callable[[Subject], Made]
     limit: float = 300.0
-
-
-def segment_distance(points: Array, start: Array, end: Array) -> Array:
-    """Distances (N,) from points (N, 3) to the segment from start to end (3,)."""
-    axis = end - start
-    along = np.clip((points - start) @ axis / max(float(axis @ axis), 1e-30), 0, 1)
-    return np.asarray(np.linalg.norm(points - start - along[:, None] * axis, axis=1))
 
 
 def nearest_bone(points: Array, skeleton: Skeleton) -> Array:

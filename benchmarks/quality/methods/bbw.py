@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from gskin_addon.core.rig.segments import bone_segments
+from gskin_addon.core.rig.segments import bone_segments, segment_distance
 from gskin_addon.core.rig.skeleton import Skeleton
 from gskin_addon.core.skinning.voxels import voxelize
 
-from .base import Made, Method, Subject, complete, segment_distance
+from .base import Made, Method, Subject, complete
 
 Array = NDArray[Any]
 

@@ -17,7 +17,7 @@ ASIDE = 0.5
 """Cosine below which a bone does not point to a joint that hangs on it."""
 
 FEW = 3
-"""Bones with children from which on their directions can be judged."""
+"""Bones with children from which on their directions, or their lengths, can be judged."""
 
 ALIKE, AGREE, STRAIGHT = 0.02, 1 / 6, 0.999
 """How close the lengths of bones over the ways to their children are when they have one cause; share of the bones of
@@ -75,10 +75,8 @@ def bone_segments(skeleton: Skeleton) -> BoneSegments:
         way = float(np.linalg.norm(came))
         tips = tail[None]
         if farthest > 0:
-            short, long = stubs and lengths[bone] < SHORT * farthest, scale != 1 and lengths[bone] > LONG * farthest
-            off = np.linalg.norm(ways - (tail - head), axis=1).min() > OFF * farthest
-            handle = scale != 1 and parent < 0 and len(ways) == 1 and off
-            if aside or short or long or handle:
+            stub = stubs and lengths[bone] < SHORT * farthest
+            if aside or stub or (scale != 1 and _ends_astray(ways, tail - head, parent < 0)):
                 tips = head + ways
         elif way > 0 and aside:
             tips = (head + came)[None]
@@ -88,6 +86,15 @@ def bone_segments(skeleton: Skeleton) -> BoneSegments:
         ends += list(tips)
         bones += [bone] * len(tips)
     return BoneSegments(np.array(starts), np.array(ends), np.array(bones))
+
+
+def segment_distance(
+    points: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Distances (N,) from points (N, 3) to the segment from start to end (3,)."""
+    axis = end - start
+    along = np.clip((points - start) @ axis / max(float(axis @ axis), 1e-30), 0, 1)
+    return np.asarray(np.linalg.norm(points - start - along[:, None] * axis, axis=1))
 
 
 def tail_scale(skeleton: Skeleton) -> float:
@@ -107,7 +114,7 @@ def tail_scale(skeleton: Skeleton) -> float:
         if (cosine > STRAIGHT).any():
             ratios.append(np.log(lengths[bone] / far[cosine > STRAIGHT]))
     every = np.concatenate([*ratios, np.zeros(1)])  # the last: as they should be
-    agree = np.array([sum(bool((abs(r - value) < ALIKE).any()) for r in ratios) for value in every])
+    agree = sum(((abs(r[:, None] - every) < ALIKE).any(axis=0) for r in ratios), np.zeros(len(every), int))
     best = int(np.argmax(agree))
     if agree[best] < max(FEW, AGREE * len(ratios)) or agree[best] <= agree[-1] or abs(every[best]) < ALIKE:
         return 1.0
@@ -131,6 +138,15 @@ def invented_tails(skeleton: Skeleton) -> tuple[bool, bool]:
         if not stubs[-1]:
             aside.append(bool((ways @ own / (np.linalg.norm(ways, axis=1) * length)).max() < ASIDE))
     return 2 * sum(stubs) > len(stubs), len(aside) >= FEW and 2 * sum(aside) > len(aside)
+
+
+def _ends_astray(ways: NDArray[np.float64], own: NDArray[np.float64], root: bool) -> bool:
+    """Whether a bone, head to tail `own`, set right by the common factor, still does not tell where its flesh ends:
+    beyond all children, or, for a root with one child, elsewhere than there."""
+    farthest = float(np.linalg.norm(ways, axis=1).max())
+    if float(np.linalg.norm(own)) > LONG * farthest:
+        return True
+    return root and len(ways) == 1 and float(np.linalg.norm(ways[0] - own)) > OFF * farthest
 
 
 def _ways_down(skeleton: Skeleton, bone: int) -> tuple[NDArray[np.float64], float]:

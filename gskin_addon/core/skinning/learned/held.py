@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...rig.segments import BoneSegments, bone_segments
+from ...rig.segments import BoneSegments, bone_segments, segment_distance
 from ...rig.skeleton import Skeleton
+from .parts import TOUCH, connected
+from .tree import ancestry
 
 Array = NDArray[Any]
 
@@ -37,7 +39,6 @@ SMALLEST = 8
 """Fewest splats of a thing."""
 
 _LINKS = 6
-_GAP = 3.0  # usual steps between neighbours
 
 
 @dataclass(frozen=True)
@@ -58,14 +59,15 @@ def find_hands(skeleton: Skeleton, segments: BoneSegments, size: float) -> list[
     """
     lengths = np.zeros(skeleton.count)
     np.maximum.at(lengths, segments.bone, np.linalg.norm(segments.ends - segments.starts, axis=1))
+    below = ancestry(skeleton.parents) >= 0
     hands = []
     for bone in np.flatnonzero(skeleton.parents >= 0):
-        chains = [_chain(skeleton, int(child)) for child in skeleton.children(bone)]
-        if len(chains) < FINGERS or max(_length(chain, lengths) for chain in chains) > LONGEST * size:
+        chains = [np.flatnonzero(below[:, child]) for child in skeleton.children(bone)]
+        if len(chains) < FINGERS or max(lengths[chain].sum() for chain in chains) > LONGEST * size:
             continue
         if any(len(chain) > 1 for chain in chains):
             chains = [chain for chain in chains if len(chain) > 1]
-        reach = float(np.median([_length(chain, lengths) for chain in chains]))
+        reach = float(np.median([lengths[chain].sum() for chain in chains]))
         starts = skeleton.heads[[chain[0] for chain in chains]]
         if len(chains) < FINGERS or reach <= 0:
             continue
@@ -84,8 +86,9 @@ def hold(weights: Array, points: Array, skeleton: Skeleton, size: float) -> Arra
     segments = bone_segments(skeleton)
     out = weights
     for hand in find_hands(skeleton, segments, size):
-        mine = np.isin(segments.bone, hand.fingers)
-        away = _distance(points, segments.starts[mine], segments.ends[mine]) / hand.reach
+        mine = np.flatnonzero(np.isin(segments.bone, hand.fingers))
+        ways = [segment_distance(points, segments.starts[k], segments.ends[k]) for k in mine]
+        away = np.min(ways, axis=0) / hand.reach
         off = np.flatnonzero((out[:, hand.fingers].sum(axis=1) > OWNED) & (away > SKIN))
         if len(off) < SMALLEST or away[off].max() <= BEYOND:
             continue
@@ -100,46 +103,19 @@ def hold(weights: Array, points: Array, skeleton: Skeleton, size: float) -> Arra
     return out
 
 
-def _chain(skeleton: Skeleton, bone: int) -> list[int]:
-    """A bone and those that follow it one by one; with a fork, all that hangs on it."""
-    chain = [bone]
-    for last in chain:
-        chain.extend(int(child) for child in skeleton.children(last))
-    return chain
-
-
-def _length(chain: list[int], lengths: Array) -> float:
-    return float(lengths[chain].sum())
-
-
-def _straight_on(skeleton: Skeleton, bone: int, chains: list[list[int]]) -> int:
+def _straight_on(skeleton: Skeleton, bone: int, chains: list[Array]) -> int:
     """The first bone of the chain whose way is most like that of `bone`."""
     axis = skeleton.tails[bone] - skeleton.heads[bone]
     ways = np.array([skeleton.tails[chain[-1]] - skeleton.heads[chain[0]] for chain in chains])
     cosine = ways @ axis / np.maximum(np.linalg.norm(ways, axis=1), 1e-12)
-    return chains[int(np.argmax(cosine))][0]
-
-
-def _distance(points: Array, starts: Array, ends: Array) -> Array:
-    """(N,) distance of points to the nearest of some segments."""
-    nearest = np.full(len(points), np.inf)
-    for start, end in zip(starts, ends, strict=True):
-        axis = end - start
-        along = ((points - start) @ axis / max(float(axis @ axis), 1e-24)).clip(0, 1)
-        np.minimum(nearest, np.linalg.norm(points - start - along[:, None] * axis, axis=1), out=nearest)
-    return nearest
+    return int(chains[int(np.argmax(cosine))][0])
 
 
 def _pieces(points: Array) -> Array:
     """(N,) labels: splats that touch, or nearly, have the same."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     count = len(points)
     way, index = cKDTree(points).query(points, min(_LINKS + 1, count))
-    near = way[:, 1:] < _GAP * np.median(way[:, 1:])
-    row, column = np.nonzero(near)
-    links = coo_matrix((np.ones(len(row)), (row, index[row, column + 1])), (count, count))
-    label: Array = connected_components(links, directed=False)[1]
-    return label
+    row, column = np.nonzero(way[:, 1:] < TOUCH * np.median(way[:, 1:]))
+    return connected(count, row, index[row, column + 1])

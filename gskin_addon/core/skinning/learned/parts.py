@@ -18,6 +18,9 @@ NEAR = ((500, 5), (200, 12))
 COLOUR_SCALES = (1e-4, 1.2e-3)
 """Tight and loose: a region of this share of all splats may still take a colour step of 1."""
 
+TOUCH = 3.0
+"""Splats this many usual steps apart touch: hardly one is farther than that from all of its neighbours."""
+
 LINKS = 10
 _APART = 2.0  # see GAP_RATIO in core/guidance/graph.py
 
@@ -53,8 +56,6 @@ def find_parts(points: Array, colors: Array, profile: Array, *, links: int = LIN
     points (N, 3); colors (N, 3) in [0, 1]; profile (N, B): distances to the bones through the body. Neighbours
     whose profiles differ much more than the way between them sit on either side of a gap and are not linked.
     """
-    from scipy import sparse
-    from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
     count = len(points)
@@ -64,16 +65,25 @@ def find_parts(points: Array, colors: Array, profile: Array, *, links: int = LIN
     way, index = way.reshape(count, -1)[:, 1:], index.reshape(count, -1)[:, 1:].astype(np.int32)
     pitch = float(np.median(way)) if way.size else 1.0
     open_way = ~apart(index, way, profile)
-    # A piece is what touches: splats are hardly ever three usual steps from all of their neighbours.
-    a, k = np.nonzero(open_way & (way < 3.0 * pitch))
+    a, k = np.nonzero(open_way & (way < TOUCH * pitch))
     b = index[a, k]
-    pieces = connected_components(sparse.coo_matrix((np.ones(len(a)), (a, b)), (count, count)), directed=False)[1]
+    pieces = connected(count, a, b)
     step = np.linalg.norm(colors[a] - colors[b], axis=1).astype(np.float32)
     order = np.argsort(step, kind="stable")
     regions = [_grow_regions(a[order], b[order], step[order], count, scale) for scale in COLOUR_SCALES]
     near = neighbourhoods(points, profile)
     labels = [np.unique(label, return_inverse=True)[1] for label in (pieces, *regions)]
     return Parts(near, np.stack(labels, axis=1).astype(np.int32))
+
+
+def connected(count: int, a: Array, b: Array) -> Array:
+    """(count,) labels of the pieces that links between a and b (E,) make."""
+    from scipy import sparse
+    from scipy.sparse.csgraph import connected_components
+
+    links = sparse.coo_matrix((np.ones(len(a)), (a, b)), (count, count))
+    label: Array = connected_components(links, directed=False)[1]
+    return label
 
 
 def neighbourhoods(points: Array, profile: Array) -> tuple[Array, ...]:
