@@ -31,7 +31,8 @@ def cape(plan: Plan, chest: int, at: Array, length: float, width: float) -> None
     if rng.random() < 0.5:
         count = int(rng.integers(1, 5))
         lengths = np.full(count, length / count)
-        plan.chain(chest, at, way, lengths, width, 1.05, hue, bend=0.05, flat=BACK, thin=thin)
+        plan.chain(chest, at, way, lengths, width, 1.05, hue, bend=0.05, flat=BACK, thin=thin,
+                   names=("Cape",))  # fmt: skip
     else:
         plan.cover(chest, width, 1.2 * width, hue, segment=(at, at + length * way), flat=BACK, thin=thin, rigid=True)
 
@@ -42,7 +43,8 @@ def hair(plan: Plan, head: int, at: Array, size: float) -> None:
     length = size * rng.uniform(0.8, 3.0)
     way = -UP + rng.uniform(0.1, 0.5) * BACK
     if rng.random() < 0.3:
-        plan.chain(head, at, way, np.full(rng.integers(1, 4), 0.5 * length), 0.3 * size, 0.8, hue, bend=0.1)
+        plan.chain(head, at, way, np.full(rng.integers(1, 4), 0.5 * length), 0.3 * size, 0.8, hue, bend=0.1,
+                   names=("Hair",))  # fmt: skip
         return
     plan.cover(head, 0.7 * size, rng.uniform(0.2, 0.9) * size, hue, segment=(at, at + length * way), flat=BACK,
                thin=rng.uniform(0.3, 1.0), rigid=True)  # fmt: skip
@@ -72,7 +74,7 @@ def weapon(plan: Plan, hand: int, reach: float) -> None:
     way, at = direction(rng), plan.tails[hand]
     length, back = reach * rng.uniform(0.6, 2.0), rng.uniform(0.0, 0.5)
     start, end = at - back * length * way, at + (1 - back) * length * way
-    bone = plan.bone(hand, at, at + 0.2 * length * way) if rng.random() < 0.25 else hand
+    bone = plan.bone(hand, at, at + 0.2 * length * way, "Weapon") if rng.random() < 0.25 else hand
     thick, flat = reach * rng.uniform(0.03, 0.08), direction(rng)
     plan.cover(bone, thick, thick, hue, segment=(start, end), rigid=True)
     if rng.random() < 0.7:  # a blade, a head or a shield

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from .examples import Subject
 
 Array = NDArray[Any]
+LEG = ("UpperLeg", "LowerLeg", "Foot")
+ARM = ("UpperArm", "LowerArm")
 
 
 def generate(rng: np.random.Generator, grow: Callable[[Plan], None] | None = None) -> Subject:
@@ -31,7 +33,7 @@ def generate(rng: np.random.Generator, grow: Callable[[Plan], None] | None = Non
     plan = Plan(rng)
     kinds, often = zip(*KINDS, strict=True)
     (grow or kinds[rng.choice(len(kinds), p=np.array(often) / sum(often))])(plan)
-    names = tuple(f"{i}" for i in range(len(plan.parents)))
+    names = tuple(f"{name}.{i}" for i, name in enumerate(plan.names))
     skeleton = Skeleton(names, np.array(plan.parents), np.array(plan.heads), np.array(plan.tails))
     points, colors, weights = cover_with_splats(plan, skeleton, int(rng.integers(4000, 6000)))
     count = len(points)
@@ -49,13 +51,13 @@ def generate(rng: np.random.Generator, grow: Callable[[Plan], None] | None = Non
 def _head(plan: Plan, parent: int, at: Array, way: Array, size: float, color: Array) -> int:
     """A head, perhaps with a jaw, ears or horns, eyes and a hat."""
     rng = plan.rng
-    head = plan.bone(parent, at, at + way * 2 * size)
+    head = plan.bone(parent, at, at + way * 2 * size, "Head")
     skin = color if rng.random() < 0.5 else random_color(rng)
     plan.cover(head, size * rng.uniform(0.8, 1.2), size * rng.uniform(0.6, 1.2), skin)
     middle = at + way * size
     front = np.array([0.0, -1.0, 0.0])
     if rng.random() < 0.3:
-        jaw = plan.bone(head, at + 0.3 * size * way, at + 1.4 * size * front)
+        jaw = plan.bone(head, at + 0.3 * size * way, at + 1.4 * size * front, "Jaw")
         plan.cover(jaw, 0.4 * size, 0.3 * size, skin)
     if rng.random() < 0.5:  # ears with bones, or horns without
         boned, hue = rng.random() < 0.6, random_color(rng) if rng.random() < 0.5 else skin
@@ -64,7 +66,8 @@ def _head(plan: Plan, parent: int, at: Array, way: Array, size: float, color: Ar
         def ear() -> None:
             start, length = middle + side + way * 0.3 * size, rng.uniform(0.5, 1.6) * size
             if boned:
-                plan.chain(head, start, side, np.full(rng.integers(1, 3), length), 0.25 * size, 0.6, hue)
+                plan.chain(head, start, side, np.full(rng.integers(1, 3), length), 0.25 * size, 0.6, hue,
+                           names=("Ear",))
             else:
                 tip = start + side / size * length
                 plan.cover(head, 0.2 * size, 0.05 * size, hue, segment=(start, tip), rigid=True)
@@ -101,12 +104,13 @@ def _spine(plan: Plan, start: Array, way: Array, length: float, radius: float, c
     rng = plan.rng
     parent = -1
     if rng.random() < 0.3:
-        parent = plan.bone(-1, np.zeros(3), np.array([0.0, 0.0, 0.2]))
+        parent = plan.bone(-1, np.zeros(3), np.array([0.0, 0.0, 0.2]), "Root")
     count = int(rng.integers(1, 5))
     wide = np.array([1.0, 0.0, 0.0])
     taper = rng.uniform(0.9, 1.1)
     return plan.chain(parent, start, way, np.full(count, length / count), radius, taper, color, bend=0.05,
-                      flat=np.cross(way, wide), thin=rng.uniform(0.5, 1.0))  # fmt: skip
+                      flat=np.cross(way, wide), thin=rng.uniform(0.5, 1.0),
+                      names=("Hips", "Spine", "Chest"))  # fmt: skip
 
 
 def _legs(plan: Plan, parent: int, hip: Array, height: float, radius: float, color: Array, tips: list[int]) -> None:
@@ -116,11 +120,12 @@ def _legs(plan: Plan, parent: int, hip: Array, height: float, radius: float, col
         count = int(rng.integers(2, 5))
         share = rng.uniform(0.7, 1.3, count)
         way = np.array([rng.uniform(0, 0.3), rng.uniform(-0.2, 0.2), -1.0])
-        made = plan.chain(parent, hip, way, height * share / share.sum(), radius, 0.8, color, bend=0.12)
+        made = plan.chain(parent, hip, way, height * share / share.sum(), radius, 0.8, color, bend=0.12,
+                          names=LEG)
         if rng.random() < 0.7:
             shoe = random_color(rng) if rng.random() < 0.5 else color
             at = plan.tails[made[-1]]
-            foot = plan.bone(made[-1], at, at + np.array([0.05, -1.0, -0.15]) * radius * 2.5)
+            foot = plan.bone(made[-1], at, at + np.array([0.05, -1.0, -0.15]) * radius * 2.5, "Foot")
             plan.cover(foot, radius * 0.8, radius * 0.6, shoe)
         tips.append(made[-1])
 
@@ -129,7 +134,7 @@ def _legs(plan: Plan, parent: int, hip: Array, height: float, radius: float, col
 
 def _tail(plan: Plan, parent: int, start: Array, way: Array, length: float, radius: float, color: Array) -> None:
     count = int(plan.rng.integers(1, 7))
-    plan.chain(parent, start, way, np.full(count, length / count), radius, 0.8, color, bend=0.2)
+    plan.chain(parent, start, way, np.full(count, length / count), radius, 0.8, color, bend=0.2, names=("Tail",))
 
 
 def _wings(plan: Plan, parent: int, start: Array, span: float, color: Array) -> None:
@@ -139,7 +144,7 @@ def _wings(plan: Plan, parent: int, start: Array, span: float, color: Array) -> 
         count = int(rng.integers(1, 4))
         hue = random_color(rng)
         plan.chain(parent, start, np.array([1.0, 0.3, 0.4]), np.full(count, span / count), span * 0.25, 0.8, hue,
-                   bend=0.2, flat=np.array([0.0, 0.3, 1.0]), thin=0.15)  # fmt: skip
+                   bend=0.2, flat=np.array([0.0, 0.3, 1.0]), thin=0.15, names=("Wing",))  # fmt: skip
 
     plan.limbs(wing)
 
@@ -157,22 +162,26 @@ def _biped(plan: Plan) -> None:
     legs = list(range(first, len(plan.parents)))
     size, neck = rng.uniform(0.12, 0.35), spine[-1]
     if rng.random() < 0.7:
-        neck = plan.chain(neck, top, np.array([0.0, 0, 1.0]), np.array([0.12]), 0.4 * size, 1.0, color, bend=0)[0]
+        neck = plan.chain(neck, top, np.array([0.0, 0, 1.0]), np.array([0.12]), 0.4 * size, 1.0, color, bend=0,
+                          names=("Neck",))[0]  # fmt: skip
     head = _head(plan, neck, plan.tails[neck], np.array([0.0, 0, 1.0]), size, color)
     skin = random_color(rng) if rng.random() < 0.5 else color
 
     def arm() -> None:
         parent, start = spine[-1], top + [0.9 * stout, 0, -0.3 * stout]
         if rng.random() < 0.6:
-            parent = plan.bone(parent, top - [0, 0, 0.1], start)
+            parent = plan.bone(parent, top - [0, 0, 0.1], start, "Shoulder")
         way = np.array([1.0, 0.0, rng.uniform(-1.5, 0.1)])
         reach, thick = rng.uniform(0.4, 0.9), stout * rng.uniform(0.25, 0.45)
-        made = plan.chain(parent, start, way, np.array([0.5, 0.5]) * reach, thick, 0.85, skin, bend=0.15)
-        hand = plan.chain(made[-1], plan.tails[made[-1]], way, np.array([0.2 * reach]), thick, 1.0, skin, bend=0.1)[0]
+        made = plan.chain(parent, start, way, np.array([0.5, 0.5]) * reach, thick, 0.85, skin, bend=0.15,
+                          names=ARM)  # fmt: skip
+        hand = plan.chain(made[-1], plan.tails[made[-1]], way, np.array([0.2 * reach]), thick, 1.0, skin, bend=0.1,
+                          names=("Hand",))[0]  # fmt: skip
         for finger in range(int(rng.integers(0, 5)) if rng.random() < 0.4 else 0):
             spread = way + [0.0, 0.5 * (finger - 2), 0]
             at = plan.tails[hand]
-            plan.chain(hand, at, spread, np.full(rng.integers(1, 4), 0.08 * reach), 0.3 * thick, 0.9, skin, bend=0.1)
+            plan.chain(hand, at, spread, np.full(rng.integers(1, 4), 0.08 * reach), 0.3 * thick, 0.9, skin, bend=0.1,
+                       names=("Finger",))  # fmt: skip
         tips.append(hand)
 
     plan.limbs(arm)
@@ -216,7 +225,7 @@ def _quadruped(plan: Plan) -> None:
         _legs(plan, parent, at + [0.6 * stout, 0, -0.3 * stout], high, thick, color, tips)
     count, way = int(rng.integers(1, 4)), np.array([0.0, -1.0, rng.uniform(0, 1.5)])
     long_neck = np.full(count, rng.uniform(0.2, 0.7) / count)
-    neck = plan.chain(spine[-1], front, way, long_neck, 0.6 * stout, 0.85, color, bend=0.1)
+    neck = plan.chain(spine[-1], front, way, long_neck, 0.6 * stout, 0.85, color, bend=0.1, names=("Neck",))
     _head(plan, neck[-1], plan.tails[neck[-1]], np.array([0.0, -0.9, -0.1]), stout * rng.uniform(0.5, 0.9), color)
     if rng.random() < 0.8:
         _tail(plan, spine[0], back, np.array([0.0, 1.0, -0.3]), rng.uniform(0.2, 1.0), 0.3 * stout, color)
@@ -239,9 +248,10 @@ def _crawler(plan: Plan) -> None:
 
         def leg(at: Array = at, parent: int = parent, lean: float = share - 0.5) -> None:
             thigh = np.full(1, rng.uniform(0.15, 0.4))
-            made = plan.chain(parent, at, np.array([1.0, -lean, 0.6]), thigh, 0.06, 0.9, hue)
+            made = plan.chain(parent, at, np.array([1.0, -lean, 0.6]), thigh, 0.06, 0.9, hue, names=("Leg",))
             way = np.array([0.7, -lean, -1.0])
-            plan.chain(made[-1], plan.tails[made[-1]], way, np.full(rng.integers(1, 3), 0.3), 0.05, 0.7, hue, bend=0.1)
+            plan.chain(made[-1], plan.tails[made[-1]], way, np.full(rng.integers(1, 3), 0.3), 0.05, 0.7, hue, bend=0.1,
+                       names=("Leg",))  # fmt: skip
 
         plan.limbs(leg)
     _head(plan, spine[-1], plan.tails[spine[-1]], np.array([0.0, -1.0, 0.0]), 0.7 * stout, color)
@@ -253,9 +263,10 @@ def _swimmer(plan: Plan) -> None:
     """Snakes and fish."""
     rng, color = plan.rng, random_color(plan.rng)
     count, long, stout = int(rng.integers(3, 14)), rng.uniform(1.0, 2.0), rng.uniform(0.06, 0.25)
-    parent = plan.bone(-1, np.zeros(3), np.array([0.0, 0.0, 0.2])) if rng.random() < 0.3 else -1
+    parent = plan.bone(-1, np.zeros(3), np.array([0.0, 0.0, 0.2]), "Root") if rng.random() < 0.3 else -1
     made = plan.chain(parent, np.zeros(3), np.array([0.0, 1.0, 0.0]), np.full(count, long / count), stout, 0.9, color,
-                      bend=rng.uniform(0, 0.2), flat=np.array([1.0, 0, 0]), thin=rng.uniform(0.5, 1))  # fmt: skip
+                      bend=rng.uniform(0, 0.2), flat=np.array([1.0, 0, 0]), thin=rng.uniform(0.5, 1),
+                      names=("Spine",))  # fmt: skip
     _head(plan, made[0], plan.heads[made[0]], np.array([0.0, -1.0, 0.0]), stout * rng.uniform(0.6, 1.1), color)
     if rng.random() < 0.6:
         at, hue = plan.heads[made[count // 3]], random_color(rng)
@@ -264,7 +275,8 @@ def _swimmer(plan: Plan) -> None:
         def fin() -> None:
             start, reach = at + [0.4 * stout, 0, 0], np.array([2 * stout])
             way = np.array([1.0, 0.8, 0.0])
-            bone = plan.chain(made[count // 3], start, way, reach, 0.5 * stout, 0.6, hue, flat=flat, thin=0.2)[0]
+            bone = plan.chain(made[count // 3], start, way, reach, 0.5 * stout, 0.6, hue, flat=flat, thin=0.2,
+                              names=("Fin",))[0]  # fmt: skip
             plan.cover(bone, 0.4 * stout, 0.3 * stout, hue, flat=flat, thin=0.2)
 
         plan.limbs(fin)

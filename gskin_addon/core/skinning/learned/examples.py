@@ -75,7 +75,8 @@ def read_mesh_asset(path: Path) -> Mesh:
         weights = np.zeros((len(verts), len(parent)), np.float32)
         weights[data["w_row"], data["w_col"]] = data["w_val"]
         weights = weights[:, depth]
-        names = tuple(f"{i}" for i in range(len(parent)))
+        named = data["bone_names"] if "bone_names" in data else np.arange(len(parent))
+        names = tuple(str(name) for name in named[depth])
         heads, tails = (data[key][depth].astype(np.float64) for key in ("bone_head", "bone_tail"))
         short = np.linalg.norm(tails - heads, axis=1) < 1e-6 * np.ptp(verts, axis=0).max()
         tails[short] += np.array([0.0, 0.0, 1e-3]) * np.ptp(verts, axis=0).max()

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...rig.roles import bone_roles
 from ...rig.segments import BoneSegments, bone_segments
 from ...rig.skeleton import Skeleton
 from .parts import Parts, label_means
@@ -70,12 +71,13 @@ class Description:
     """The tokens of N splats.
 
     bone (N, K) int16: the bone of each token, -1 where the skeleton has fewer; values (N, K, F) float32 in the
-    order of `NAMES`; relation (B, B) int8, see `kinship`.
+    order of `NAMES`; relation (B, B) int8, see `kinship`; role (B,) int8, see `bone_roles`.
     """
 
     bone: Array
     values: Array
     relation: Array
+    role: Array
 
 
 def describe(
@@ -123,7 +125,7 @@ def describe(
     splat = np.broadcast_to(splat[:, None], (len(rows), count, splat.shape[1]))
     values = np.zeros((len(rows), tokens, len(NAMES)), np.float32)
     values[:, :count] = np.concatenate([position, share, static, np.stack(context, -1), splat], axis=-1)
-    return Description(bone, values, kinship(skeleton.parents))
+    return Description(bone, values, kinship(skeleton.parents), bone_roles(skeleton.names))
 
 
 def _log(share: Array) -> Array:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -76,12 +76,14 @@ class Plan:
     parents: list[int] = field(default_factory=list)
     heads: list[Array] = field(default_factory=list)
     tails: list[Array] = field(default_factory=list)
+    names: list[str] = field(default_factory=list)
     flesh: list[Flesh] = field(default_factory=list)
 
-    def bone(self, parent: int, head: Array, tail: Array) -> int:
+    def bone(self, parent: int, head: Array, tail: Array, name: str = "") -> int:
         self.parents.append(parent)
         self.heads.append(np.asarray(head, float))
         self.tails.append(np.asarray(tail, float))
+        self.names.append(name)
         return len(self.parents) - 1
 
     def cover(
@@ -94,14 +96,14 @@ class Plan:
 
     def chain(
         self, parent: int, start: Array, direction: Array, lengths: Array, radius: float, taper: float, color: Array,
-        *, bend: float = 0.3, flat: Array | None = None, thin: float = 1.0,
+        *, bend: float = 0.3, flat: Array | None = None, thin: float = 1.0, names: Sequence[str] = ("",),
     ) -> list[int]:  # fmt: skip
-        """Bones in a row, each turned a little against the last; returns them."""
+        """Bones in a row, each turned a little against the last; returns them. The last name is for all the rest."""
         made: list[int] = []
         at, way = np.asarray(start, float), np.asarray(direction, float)
-        for length in lengths:
+        for number, length in enumerate(lengths):
             way = way / np.linalg.norm(way)
-            parent = self.bone(parent, at, at + way * length)
+            parent = self.bone(parent, at, at + way * length, names[min(number, len(names) - 1)])
             self.cover(parent, radius, radius * taper, color, flat=flat, thin=thin)
             made.append(parent)
             at, radius = at + way * length, radius * taper
@@ -113,7 +115,7 @@ class Plan:
         count = len(self.parents) - bones
         for bone in range(bones, bones + count):
             parent = self.parents[bone] + (count if self.parents[bone] >= bones else 0)
-            self.bone(parent, self.heads[bone] * MIRROR, self.tails[bone] * MIRROR)
+            self.bone(parent, self.heads[bone] * MIRROR, self.tails[bone] * MIRROR, self.names[bone])
         for part in self.flesh[flesh:]:
             bone = part.bone + count if part.bone >= bones else part.bone
             mirrored = {"start": part.start * MIRROR, "end": part.end * MIRROR, "flat": part.flat * MIRROR}

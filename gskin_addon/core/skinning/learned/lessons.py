@@ -29,19 +29,21 @@ ROWS = 500
 RESHAPED = 0.6
 """Share of an asset's further lessons in which it has other proportions and another rest pose."""
 
-VERSION = 7
+VERSION = 8
 """Of the lesson files; other versions are made anew."""
 
 
 @dataclass(frozen=True)
 class Lesson:
-    """bone (N, K) int16, values (N, K, F) float16, relation (B, B) int8, near and wide (N, k) int16, labels
-    (N, 3) int16, points (N, 3) and heads (B, 3) float32 in units of the diagonal, parents (B,), truth (N, B)
-    float16, valid (N,) bool, difficulty: mean posed-position error of the heat weights, in % of the diagonal."""
+    """bone (N, K) int16, values (N, K, F) float16, relation (B, B) int8, role (B,) int8, near and wide (N, k)
+    int16, labels (N, 3) int16, points (N, 3) and heads (B, 3) float32 in units of the diagonal, parents (B,), truth
+    (N, B) float16, valid (N,) bool, difficulty: mean posed-position error of the heat weights, in % of the
+    diagonal."""
 
     bone: Array
     values: Array
     relation: Array
+    role: Array
     near: Array
     wide: Array
     labels: Array
@@ -89,6 +91,7 @@ def make_lesson(subject: Subject, rng: np.random.Generator, rows: int = ROWS) ->
         described.bone,
         described.values.astype(np.float16),
         described.relation,
+        described.role,
         near.astype(np.int16),
         wide.astype(np.int16),
         np.stack(labels, axis=1).astype(np.int16),

@@ -36,6 +36,7 @@ def save_model(networks: Sequence[PriorNetwork], path: Path, card: ModelCard) ->
     import torch
     from safetensors.torch import save_file
 
+    from ...rig.roles import ROLES
     from .features import NAMES
 
     tensors = {
@@ -47,6 +48,7 @@ def save_model(networks: Sequence[PriorNetwork], path: Path, card: ModelCard) ->
         "networks": len(networks),
         "shape": networks[0].shape.as_dict(),
         "features": NAMES,
+        "roles": ROLES,
         "left_out": card.left_out,
         "families": card.families,
         "training": dict(card.training),
@@ -76,11 +78,12 @@ def load_model(path: Path) -> tuple[PriorNetwork, ...]:
     """
     import torch
 
+    from ...rig.roles import ROLES
     from .features import NAMES
     from .network import PriorNetwork, Shape
 
     about, tensors = _open(path)
-    if tuple(about["features"]) != NAMES:
+    if tuple(about["features"]) != NAMES or tuple(about.get("roles", ())) != ROLES:
         raise InputError(f"'{path}' was trained by another version of gskin; train it again with gskin train-prior.")
     try:
         networks = tuple(PriorNetwork(Shape(**about["shape"])) for _ in range(about["networks"]))

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from ...rig.roles import ROLES
 from .features import NAMES, PRIOR
 from .tree import RELATIONS
 
@@ -36,6 +37,7 @@ class Shape:
     after: int = 1
     channels: int = 4
     style: int = 16
+    roles: int = len(ROLES)
 
     def as_dict(self) -> dict[str, int]:
         """Plain numbers, for a file's metadata."""
@@ -46,12 +48,13 @@ class Shape:
 class Batch:
     """Descriptions of one or more bodies, splats in a row.
 
-    bone (N, K) int64, -1 where there is none; values (N, K, F); kin (N, K, K) int64 relation of the token in the
-    column to the one in the row; bodies: for each its slice of splats, number of bones, neighbourhoods (n, k)
-    and labels (n, 3) within the slice.
+    bone (N, K) int64, -1 where there is none; role (N, K) int64, see `bone_roles`; values (N, K, F); kin (N, K, K)
+    int64 relation of the token in the column to the one in the row; bodies: for each its slice of splats, number of
+    bones, neighbourhoods (n, k) and labels (n, 3) within the slice.
     """
 
     bone: Tensor
+    role: Tensor
     values: Tensor
     kin: Tensor
     bodies: list[tuple[slice, int, list[Tensor], Tensor]]
@@ -99,6 +102,7 @@ class PriorNetwork(nn.Module):
         self.register_buffer("mean", torch.zeros(s.features))
         self.register_buffer("deviation", torch.ones(s.features))
         self.enter = nn.Sequential(nn.Linear(s.features, s.width), nn.ReLU(), nn.Linear(s.width, s.width))
+        self.role = nn.Embedding(s.roles, s.width)
         layers = s.before + s.after
         self.layers = nn.ModuleList(_Layer(s.width, s.heads) for _ in range(layers))
         self.kin = nn.Embedding(len(RELATIONS), s.heads * layers)
@@ -114,14 +118,14 @@ class PriorNetwork(nn.Module):
         last = nn.Linear(32, 1)
         self.sharp = nn.Sequential(nn.Linear(s.width + s.style, 32), nn.ReLU(), last)
         self.trust = nn.Parameter(torch.ones(1))  # of the heat weights, where the logits start
-        for part in (self.first, self.final, self.kin, self.restyle, last):
+        for part in (self.first, self.final, self.kin, self.role, self.restyle, last):
             nn.init.zeros_(part.weight)
         for part in (self.restyle, last):
             nn.init.zeros_(part.bias)
 
     def forward(self, batch: Batch) -> Answer:
         missing = batch.bone < 0
-        x = self.enter((batch.values - self.mean) / self.deviation)
+        x = self.enter((batch.values - self.mean) / self.deviation) + self.role(batch.role)
         bias = self.kin(batch.kin).permute(3, 0, 1, 2) + missing[None, :, None, :] * _FAR
         biases = bias.view(len(self.layers), self.shape.heads, *batch.kin.shape).transpose(1, 2)
         for layer, b in zip(self.layers[: self.shape.before], biases, strict=False):
@@ -200,17 +204,18 @@ def pool_tokens(words: Tensor, bone: Tensor, bones: int, near: Sequence[Tensor],
 
 
 def make_batch(bodies: Sequence[dict[str, Any]]) -> Batch:
-    """Join descriptions given as arrays: bone, values, relation, near, wide, labels."""
-    bone, values, kin, rest, start = [], [], [], [], 0
+    """Join descriptions given as arrays: bone, values, relation, role, near, wide, labels."""
+    bone, role, values, kin, rest, start = [], [], [], [], [], 0
     for body in bodies:
         b = torch.from_numpy(body["bone"].astype("int64"))
         relation = torch.from_numpy(body["relation"].astype("int64"))
         c = b.clamp(min=0)
         kin.append(relation[c[:, :, None], c[:, None, :]])
         bone.append(b)
+        role.append(torch.from_numpy(body["role"].astype("int64"))[c])
         values.append(torch.from_numpy(body["values"].astype("float32")))
         near = [torch.from_numpy(body[key].astype("int64")) for key in ("near", "wide")]
         labels = torch.from_numpy(body["labels"].astype("int64"))
         rest.append((slice(start, start + len(b)), len(relation), near, labels))
         start += len(b)
-    return Batch(torch.cat(bone), torch.cat(values), torch.cat(kin), rest)
+    return Batch(torch.cat(bone), torch.cat(role), torch.cat(values), torch.cat(kin), rest)

@@ -79,6 +79,7 @@ def predict_nodes(networks: Sequence[PriorNetwork], body: Body, bones: int) -> t
         "bone": described.bone,
         "values": described.values,
         "relation": described.relation,
+        "role": described.role,
         "near": near,
         "wide": wide,
         "labels": body.parts.labels,

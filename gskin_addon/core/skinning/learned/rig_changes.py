@@ -12,13 +12,14 @@ from ...rig.skeleton import Skeleton
 
 Array = NDArray[Any]
 Rig = tuple[Skeleton, Array]
+IDLE_NAMES = ("IK", "Control", "", "")
 
 
 def split_bones(
     skeleton: Skeleton, weights: Array, points: Array, rng: np.random.Generator, count: int, size: float
 ) -> Rig:
     """Redundant joints: some bones become two in a row, which share the weights along the bone."""
-    for _ in range(count):
+    for number in range(count):
         lengths = skeleton.lengths
         able = np.flatnonzero(lengths > 0.04 * size)
         if len(able) == 0:
@@ -37,7 +38,8 @@ def split_bones(
         moved = np.where((skeleton.parents == bone) & ends, bone + 1, moved)
         heads, tails = skeleton.heads.copy(), skeleton.tails.copy()
         tails[bone] = middle
-        skeleton = _named(
+        skeleton = Skeleton(
+            (*skeleton.names[: bone + 1], f"{skeleton.names[bone]}+{number}", *skeleton.names[bone + 1 :]),
             np.insert(moved, bone + 1, bone),
             np.insert(heads, bone + 1, middle, axis=0),
             np.insert(tails, bone + 1, tail, axis=0),
@@ -80,7 +82,7 @@ def move_joints(skeleton: Skeleton, rng: np.random.Generator, reach: float, size
         joint = int(way.argmin())
         if way[joint] < 0.005 * size:
             tails[bone] = skeleton.tails[bone] + shift[joint]
-    return _sound(_named(skeleton.parents, heads, tails), size)
+    return _sound(Skeleton(skeleton.names, skeleton.parents, heads, tails), size)
 
 
 def add_idle_bones(skeleton: Skeleton, weights: Array, rng: np.random.Generator, count: int, size: float) -> Rig:
@@ -96,7 +98,8 @@ def add_idle_bones(skeleton: Skeleton, weights: Array, rng: np.random.Generator,
         heads.append(head)
         tails.append(head + away)
     parents = np.where(rng.random(count) < 0.4, -1, np.where(rng.random(count) < 0.6, skeleton.roots[0], picked))
-    grown = _named(
+    grown = Skeleton(
+        (*skeleton.names, *(f"{IDLE_NAMES[bone % len(IDLE_NAMES)]}.{i}" for i, bone in enumerate(picked))),
         np.concatenate([skeleton.parents, parents]),
         np.concatenate([skeleton.heads, heads]),
         np.concatenate([skeleton.tails, tails]),
@@ -108,11 +111,7 @@ def lose_tails(skeleton: Skeleton, rng: np.random.Generator, size: float) -> Ske
     """What an importer makes of a format that knows joints only: tails anywhere, a hundredth of the limb away."""
     tail = rng.normal(size=(skeleton.count, 3)) if rng.random() < 0.5 else np.tile([0.0, 0.0, 1.0], (skeleton.count, 1))
     tail = tail / np.linalg.norm(tail, axis=1, keepdims=True) * 0.01 * size
-    return _named(skeleton.parents, skeleton.heads, skeleton.heads + tail)
-
-
-def _named(parents: Array, heads: Array, tails: Array) -> Skeleton:
-    return Skeleton(tuple(f"{i}" for i in range(len(parents))), parents, heads, tails)
+    return Skeleton(skeleton.names, skeleton.parents, skeleton.heads, skeleton.heads + tail)
 
 
 def _sound(skeleton: Skeleton, size: float) -> Skeleton:

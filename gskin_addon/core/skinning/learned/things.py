@@ -31,7 +31,7 @@ def plant(plan: Plan) -> None:
     rng = plan.rng
     bark, leaf = random_color(rng), random_color(rng)
     count, tall, thick = int(rng.integers(1, 6)), rng.uniform(0.7, 1.5), rng.uniform(0.04, 0.2)
-    parent = plan.bone(-1, np.zeros(3), 0.2 * UP) if rng.random() < 0.4 else -1
+    parent = plan.bone(-1, np.zeros(3), 0.2 * UP, "Root") if rng.random() < 0.4 else -1
     trunk = plan.chain(parent, np.zeros(3), UP, np.full(count, tall / count), thick, 0.85, bark, bend=0.1)
     crown = rng.uniform(0.2, 0.6)
 
@@ -73,9 +73,9 @@ def machine(plan: Plan) -> None:
                        rigid=True)  # fmt: skip
 
     high, size = rng.uniform(0.3, 1.0), rng.uniform(0.15, 0.4)
-    root = plan.bone(-1, np.zeros(3), 0.2 * UP) if rng.random() < 0.5 else -1
+    root = plan.bone(-1, np.zeros(3), 0.2 * UP, "Root") if rng.random() < 0.5 else -1
     hull_at = high * UP
-    hull = plan.bone(root, hull_at, hull_at + size * (UP if rng.random() < 0.5 else np.array([0.0, -1.0, 0.0])))
+    hull = plan.bone(root, hull_at, hull_at + size * (UP if rng.random() < 0.5 else np.array([0.0, -1.0, 0.0])), "Body")
     part(hull, hull_at - [0, size, 0], hull_at + [0, size, 0], size)
     if rng.random() < 0.7:
         seat = hull_at + size * UP
@@ -83,7 +83,7 @@ def machine(plan: Plan) -> None:
         part(turret, seat, seat + 0.5 * size * UP, 0.6 * size)
         if rng.random() < 0.7:
             mouth = seat + [0.0, -0.6 * size, 0.3 * size]
-            barrel = plan.bone(turret, mouth, mouth - [0, 0.5, 0]) if rng.random() < 0.6 else turret
+            barrel = plan.bone(turret, mouth, mouth - [0, 0.5, 0], "Gun") if rng.random() < 0.6 else turret
             part(barrel, mouth, mouth - [0, rng.uniform(0.3, 0.9), 0], 0.15 * size)
 
     for _ in range(int(rng.integers(1, 4))):
@@ -94,7 +94,7 @@ def machine(plan: Plan) -> None:
             at = hull_at + place
             if kind < 0.25:  # a wheel
                 middle = at * [1.2, 1, 0] + [0, 0, 0.5 * high]
-                wheel = plan.bone(hull, middle, middle + [0.2, 0, 0])
+                wheel = plan.bone(hull, middle, middle + [0.2, 0, 0], "Wheel")
                 plan.cover(wheel, 0.45 * high, 0.45 * high, colors[0], segment=(middle, middle + [0.01, 0, 0]),
                            flat=np.array([1.0, 0, 0]), thin=0.3, rigid=True)  # fmt: skip
                 return
@@ -136,9 +136,10 @@ def hand(plan: Plan) -> None:
     rng, skin = plan.rng, random_color(plan.rng)
     sleeve = random_color(rng) if rng.random() < 0.5 else skin
     size = rng.uniform(0.3, 0.6)
-    wrist = plan.chain(-1, np.zeros(3), UP, np.array([rng.uniform(0.3, 0.8)]), 0.5 * size, 0.9, sleeve, bend=0)[0]
+    wrist = plan.chain(-1, np.zeros(3), UP, np.array([rng.uniform(0.3, 0.8)]), 0.5 * size, 0.9, sleeve, bend=0,
+                       names=("Forearm",))[0]  # fmt: skip
     palm = plan.chain(wrist, plan.tails[wrist], UP, np.array([size]), 0.55 * size, 1.1, skin, bend=0,
-                      flat=np.array([0.0, 1.0, 0.0]), thin=rng.uniform(0.3, 0.7))[0]  # fmt: skip
+                      flat=np.array([0.0, 1.0, 0.0]), thin=rng.uniform(0.3, 0.7), names=("Hand",))[0]  # fmt: skip
     top, fingers = plan.tails[palm], int(rng.integers(3, 6))
     for number in range(fingers):
         place = (number / max(fingers - 1, 1) - 0.5) * size
@@ -147,21 +148,23 @@ def hand(plan: Plan) -> None:
         way = UP + [place / size * (3.0 if thumb else 0.4), -0.2 * rng.random(), 0]
         parent = palm
         if rng.random() < 0.5:  # a bone inside the palm
-            parent = plan.bone(palm, plan.heads[palm] + 0.2 * (start - plan.heads[palm]), start)
+            parent = plan.bone(palm, plan.heads[palm] + 0.2 * (start - plan.heads[palm]), start, "Metacarpal")
         joints = int(rng.integers(2, 4))
         reach = size * rng.uniform(0.6, 1.1)
-        plan.chain(parent, start, way, np.full(joints, reach / joints), 0.13 * size, 0.9, skin, bend=0.1)
+        plan.chain(parent, start, way, np.full(joints, reach / joints), 0.13 * size, 0.9, skin, bend=0.1,
+                   names=("Thumb" if thumb else "Finger",))  # fmt: skip
 
 
 def fellow(plan: Plan) -> None:
     """A round body with few bones: fruit, slimes, eggs; arms, legs, eyes and leaves as it comes."""
     rng, skin = plan.rng, random_color(plan.rng)
     size, high = rng.uniform(0.3, 0.6), rng.uniform(0.0, 0.4)
-    parent = plan.bone(-1, np.zeros(3), 0.2 * UP) if rng.random() < 0.5 else -1
+    parent = plan.bone(-1, np.zeros(3), 0.2 * UP, "Root") if rng.random() < 0.5 else -1
     start = (high + 0.3 * size) * UP
     count = int(rng.integers(1, 4))
     tall = size * rng.uniform(0.5, 1.6)
-    body = plan.chain(parent, start, UP, np.full(count, tall / count), size, rng.uniform(0.7, 1.2), skin, bend=0.03)
+    body = plan.chain(parent, start, UP, np.full(count, tall / count), size, rng.uniform(0.7, 1.2), skin, bend=0.03,
+                      names=("Body",))  # fmt: skip
     top, middle = plan.tails[body[-1]], 0.5 * (start + plan.tails[body[-1]])
     face = body[-1]
     if rng.random() < 0.7:
@@ -169,7 +172,7 @@ def fellow(plan: Plan) -> None:
         own = rng.random() < 0.3
 
         def look() -> None:
-            bone = plan.bone(face, eye, eye - [0, 0.1 * size, 0]) if own else face
+            bone = plan.bone(face, eye, eye - [0, 0.1 * size, 0], "Eye") if own else face
             plan.cover(bone, 0.15 * size, 0.15 * size, hue, segment=(eye, eye + 1e-3), rigid=True)
 
         plan.limbs(look)

@@ -46,6 +46,10 @@ BLUR = np.where(_IS_IDENTITY, 0.12, 0.05).astype(np.float32)
 HIDE = np.where(_IS_IDENTITY, 0.12, 0.04)
 HIDE[PRIOR] = 0.0
 """Chance of each feature to be hidden in a lesson."""
+
+NAMELESS, FORGOTTEN = 0.35, 0.1
+"""Chances of a lesson without any names of bones, and of each bone to lose its name: many rigs have none that say what
+a bone is for."""
 _HIDDEN = ("layers.", "enter.2", "hear")
 _MICRO = 2  # lessons at a time: small enough for the processor's cache, and for a quick end
 
@@ -176,6 +180,7 @@ class Trainer:
             batch = make_batch([vars(lesson) for lesson in part])
             for (rows, *_), lesson in zip(batch.bodies, part, strict=True):
                 self._blur(batch.values[rows], lesson, rng)
+                self._forget(batch.role[rows], lesson, rng)
             poses = [posed_lesson(lesson, POSES, rng) for lesson in part]
             loss = lesson_loss(self.network(batch), batch, part, poses) / len(lessons)
             loss.backward()  # type: ignore[no-untyped-call]
@@ -203,6 +208,11 @@ class Trainer:
         values += torch.from_numpy(by_bone[bone] + by_token) * deviation
         hidden = torch.from_numpy(rng.random(len(NAMES)) < HIDE)
         values[..., hidden] = mean[hidden]
+
+    def _forget(self, role: Tensor, lesson: Lesson, rng: np.random.Generator) -> None:
+        """Take names away, in place."""
+        lost = rng.random(len(lesson.heads)) < (1.0 if rng.random() < NAMELESS else FORGOTTEN)
+        role[torch.from_numpy(lost[lesson.bone])] = 0  # -1, no bone, reads some bone: its role does not matter
 
     def _share(self) -> float:
         """Of the peak learning rate: a short rise, then half a cosine down to a third.

@@ -140,6 +140,7 @@ def test_order_of_bones_and_splats_is_of_no_importance(scene):
     np.testing.assert_array_equal(order[mixed.bone[clear, :count]], base.bone[clear, :count])
     np.testing.assert_allclose(mixed.values[clear], base.values[clear], atol=2e-3)
     np.testing.assert_array_equal(mixed.relation, base.relation[np.ix_(order, order)])
+    np.testing.assert_array_equal(mixed.role, base.role[order])
 
     rows = rng.permutation(len(body.points))
     back = np.argsort(rows)

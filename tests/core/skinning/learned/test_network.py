@@ -6,6 +6,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from gskin_addon.core.rig.roles import ROLES
 from gskin_addon.core.skinning.learned.features import NAMES, TOKENS
 from gskin_addon.core.skinning.learned.network import PriorNetwork, Shape, make_batch, pool_tokens
 from gskin_addon.core.skinning.learned.tree import kinship
@@ -20,6 +21,7 @@ def fake_body(count, bones, rng):
         "bone": bone,
         "values": rng.normal(size=(count, TOKENS, len(NAMES))).astype(np.float32),
         "relation": kinship(np.array([-1, *(rng.integers(0, b) for b in range(1, bones))])),
+        "role": rng.integers(0, len(ROLES), bones),
         "near": rng.integers(0, count, (count, 5)),
         "wide": rng.integers(0, count, (count, 12)),
         "labels": rng.integers(0, 3, (count, 3)),

@@ -11,12 +11,13 @@ import torch
 
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.rig.lbs import skin_points
+from gskin_addon.core.rig.roles import ROLES, bone_roles
 from gskin_addon.core.rig.skeleton import Skeleton
 from gskin_addon.core.skinning.learned import creatures, rig_changes
 from gskin_addon.core.skinning.learned.flesh import Plan, cover_with_splats
 from gskin_addon.core.skinning.learned.lessons import Lesson, make_lesson, posed_lesson
 from gskin_addon.core.skinning.learned.network import make_batch
-from gskin_addon.core.skinning.learned.training import Schedule, Syllabus, Trainer, posed_error
+from gskin_addon.core.skinning.learned.training import FORGOTTEN, NAMELESS, Schedule, Syllabus, Trainer, posed_error
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +118,38 @@ def test_changed_skeletons_keep_the_weights_whole():
         changed.validate()
         assert after.shape[1] == changed.count
         np.testing.assert_allclose(after.sum(axis=1), 1, atol=1e-5)
+
+
+def test_changed_skeletons_keep_what_bones_are_for():
+    rng = np.random.default_rng(4)
+    subject = creatures.generate(rng, creatures.KINDS[0][0])  # a biped
+    points, skeleton, weights = subject.cloud.means.astype(float), subject.skeleton, subject.weights
+    roles = bone_roles(skeleton.names)
+    assert {"head", "upper leg", "hand"} <= {ROLES[role] for role in roles}
+    split, shared = rig_changes.split_bones(skeleton, weights, points, rng, 4, 2.0)
+    for role in np.unique(roles):  # a bone's halves do what it did, and carry what it carried
+        before = weights[:, roles == role].sum(axis=1)
+        np.testing.assert_allclose(shared[:, bone_roles(split.names) == role].sum(axis=1), before, atol=1e-5)
+    idle, _ = rig_changes.add_idle_bones(skeleton, weights, rng, 40, 2.0)
+    np.testing.assert_array_equal(bone_roles(idle.names)[: skeleton.count], roles)
+    assert {ROLES[role] for role in bone_roles(idle.names)[skeleton.count :]} == {"helper", "unknown"}
+    np.testing.assert_array_equal(bone_roles(rig_changes.move_joints(skeleton, rng, 0.1, 2.0).names), roles)
+
+
+def test_names_are_forgotten_in_some_lessons(syllabus):
+    lesson = only_lesson(syllabus)
+    trainer = Trainer(syllabus, Schedule(steps=1))
+    known = make_batch([vars(lesson)]).role
+    assert known.max() > 0
+    left = []
+    for seed in range(200):
+        role = known.clone()
+        trainer._forget(role, lesson, np.random.default_rng(seed))
+        assert ((role == known) | (role == 0)).all()
+        left.append(float((role > 0).sum() / (known > 0).sum()))
+    nameless = np.array(left) == 0
+    assert nameless.mean() == pytest.approx(NAMELESS, abs=0.1)
+    assert np.mean(np.array(left)[~nameless]) == pytest.approx(1 - FORGOTTEN, abs=0.05)
 
 
 @pytest.mark.parametrize("grow", [grow for grow, _ in creatures.KINDS])
