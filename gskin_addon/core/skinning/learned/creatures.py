@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from .examples import Subject
 
 Array = NDArray[Any]
+BURIED = 0.5
+"""Share of the creatures some of whose bones start inside others' flesh."""
+
 LEG = ("UpperLeg", "LowerLeg", "Foot")
 ARM = ("UpperArm", "LowerArm")
 
@@ -36,6 +39,7 @@ def generate(rng: np.random.Generator, grow: Callable[[Plan], None] | None = Non
     names = tuple(f"{name}.{i}" for i, name in enumerate(plan.names))
     skeleton = Skeleton(names, np.array(plan.parents), np.array(plan.heads), np.array(plan.tails))
     points, colors, weights = cover_with_splats(plan, skeleton, int(rng.integers(4000, 6000)))
+    skeleton = bury_roots(skeleton, plan, rng)
     count = len(points)
     spacing = float(np.sqrt(sum(part.area for part in plan.flesh) * 3 / count))
     cloud = SplatCloud(
@@ -46,6 +50,24 @@ def generate(rng: np.random.Generator, grow: Callable[[Plan], None] | None = Non
         ((colors - 0.5) / SH_C0)[:, None].astype(np.float32),
     )
     return Subject(cloud, skeleton, weights.astype(np.float32), np.ones(count, bool))
+
+
+def bury_roots(skeleton: Skeleton, plan: Plan, rng: np.random.Generator) -> Skeleton:
+    """Limbs, wings and ears of half of the creatures start inside the body, up to on its axis, as many artists place
+    them: the flesh around such a bone's first part is the body's."""
+    deep = rng.uniform(0.2, 1.0)
+    if rng.random() > BURIED:
+        return skeleton
+    radius = np.zeros(skeleton.count)
+    for part in plan.flesh:
+        radius[part.bone] = max(radius[part.bone], part.r0)
+    heads = skeleton.heads.copy()
+    for bone, parent in enumerate(skeleton.parents):
+        if parent >= 0 and 0 < radius[bone] < 0.7 * radius[parent]:
+            start, axis = skeleton.heads[parent], skeleton.tails[parent] - skeleton.heads[parent]
+            t = np.clip((heads[bone] - start) @ axis / (axis @ axis), 0, 1)
+            heads[bone] += deep * (start + t * axis - heads[bone])
+    return Skeleton(skeleton.names, skeleton.parents, heads, skeleton.tails)
 
 
 def _head(plan: Plan, parent: int, at: Array, way: Array, size: float, color: Array) -> int:

@@ -77,6 +77,12 @@ def machine(plan: Plan) -> None:
     hull_at = high * UP
     hull = plan.bone(root, hull_at, hull_at + size * (UP if rng.random() < 0.5 else np.array([0.0, -1.0, 0.0])), "Body")
     part(hull, hull_at - [0, size, 0], hull_at + [0, size, 0], size)
+    if rng.random() < 0.3:  # more bones inside the hull, which move little of it
+        inner = hull
+        for name in ("Chest", "Neck")[: int(rng.integers(1, 3))]:
+            at = plan.tails[inner]
+            inner = plan.bone(inner, at, at + 0.4 * size * UP, name)
+            part(inner, at + 0.2 * size * UP, at + 0.4 * size * UP, 0.25 * size)
     if rng.random() < 0.7:
         seat = hull_at + size * UP
         turret = plan.bone(hull, seat, seat + 0.5 * size * UP)
@@ -156,7 +162,7 @@ def hand(plan: Plan) -> None:
 
 
 def fellow(plan: Plan) -> None:
-    """A round body with few bones: fruit, slimes, eggs; arms, legs, eyes and leaves as it comes."""
+    """A round body with few bones: fruit, slimes, eggs; arms, legs, wings, eyes and leaves as it comes."""
     rng, skin = plan.rng, random_color(plan.rng)
     size, high = rng.uniform(0.3, 0.6), rng.uniform(0.0, 0.4)
     parent = plan.bone(-1, np.zeros(3), 0.2 * UP, "Root") if rng.random() < 0.5 else -1
@@ -191,6 +197,15 @@ def fellow(plan: Plan) -> None:
                 plan.cover(made[-1], 0.2 * size, 0.2 * size, hue, segment=(at, at + 1e-3), rigid=True)
 
             plan.limbs(limb)
+    if rng.random() < 0.35:
+        hue, joints, span = random_color(rng), int(rng.integers(2, 5)), size * rng.uniform(1.0, 2.5)
+        place, way = middle + size * np.array([0.7, 0.4, 0.2]), np.array([1.0, 0.3, rng.uniform(-0.2, 0.8)])
+
+        def wing() -> None:
+            plan.chain(body[count // 2], place, way, np.full(joints, span / joints), 0.3 * span, 0.7, hue, bend=0.15,
+                       flat=np.array([0.0, 0.4, 1.0]), thin=0.12, names=("Wing",))  # fmt: skip
+
+        plan.limbs(wing)
     for _ in range(int(rng.integers(0, 4))):
         way = UP + 0.7 * direction(rng)
         leaf, hue = rng.uniform(0.2, 0.6) * size, random_color(rng)

@@ -136,6 +136,30 @@ def test_changed_skeletons_keep_what_bones_are_for():
     np.testing.assert_array_equal(bone_roles(rig_changes.move_joints(skeleton, rng, 0.1, 2.0).names), roles)
 
 
+def test_buried_bones_start_deeper_in_the_flesh_of_their_parent():
+    """A wing on a trunk moves towards the trunk's axis, by one share for all; a bone as thick as its parent stays."""
+    plan = Plan(np.random.default_rng(0))
+    trunk = plan.bone(-1, np.array([0, 0, 0.0]), np.array([0, 0, 1.0]))
+    plan.cover(trunk, 0.5, 0.5, np.ones(3))
+    neck = plan.chain(trunk, np.array([0, 0, 1.0]), np.array([0, 0, 1.0]), np.ones(1), 0.5, 1.0, np.ones(3))[0]
+    side, out = np.array([0.5, 0, 0.6]), np.array([1.0, 0, 0])
+    plan.limbs(lambda: plan.chain(trunk, side, out, np.ones(2), 0.1, 1.0, np.ones(3)))
+    skeleton = Skeleton(tuple("abcdef"), np.array(plan.parents), np.array(plan.heads), np.array(plan.tails))
+    shares = []
+    for seed in range(60):
+        buried = creatures.bury_roots(skeleton, plan, np.random.default_rng(seed))
+        np.testing.assert_array_equal(buried.tails, skeleton.tails)
+        wings = [2, 4]
+        np.testing.assert_array_equal(np.delete(buried.heads, wings, 0), np.delete(skeleton.heads, wings, 0))
+        np.testing.assert_allclose(buried.heads[wings, 1:], [[0, 0.6]] * 2)
+        np.testing.assert_allclose(buried.heads[2, 0], -buried.heads[4, 0])
+        shares.append(1 - buried.heads[2, 0] / 0.5)
+    moved = np.array(shares) > 0
+    assert neck == 1
+    assert moved.mean() == pytest.approx(creatures.BURIED, abs=0.2)
+    assert 0.2 <= np.array(shares)[moved].min() < np.array(shares)[moved].max() <= 1
+
+
 def test_names_are_forgotten_in_some_lessons(syllabus):
     lesson = only_lesson(syllabus)
     trainer = Trainer(syllabus, Schedule(steps=1))
