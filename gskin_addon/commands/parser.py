@@ -18,7 +18,7 @@ from ..core.worker.settings import FRONTS, PRESET_FIELD
 VERSION = "0.1.0"
 TRAINING_STEPS = 500
 TRAINING_CREATURES = 480
-TRAINING_NETWORKS = 2
+TRAINING_NETWORKS = 3
 VIEWS = ("front", "back", "front-left", "front-right", "left", "right")
 
 

@@ -56,7 +56,8 @@ def assets(tmp_path, monkeypatch):
 
 
 def train(assets, out, *more):
-    fixed = ["--steps", "3", "--creatures", "1", "--threads", "1", "--cache", str(out.parent / "lessons")]
+    fixed = ["--steps", "3", "--creatures", "1", "--networks", "2", "--threads", "1"]
+    fixed += ["--cache", str(out.parent / "lessons")]
     return cli.main(["train-prior", "--assets", str(assets), "--out", str(out), *fixed, *more])
 
 
