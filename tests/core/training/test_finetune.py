@@ -36,6 +36,11 @@ from tests.helpers.tiny_training import write_pairs, write_tiny
 ENCODER = "appearance_encoder/diffusion_pytorch_model.safetensors"
 ATTENTION = "lightning-drag-sd15-attn.bin"
 POINTS = "point_embedding/point_embedding.pt"
+ALONE = {
+    f"appearance.mid_block.attentions.0.transformer_blocks.0.attn1.to_{name}.weight" for name in ("q", "k")
+}  # fmt: skip
+"""At 64 pixels that block has one token, whose attention to itself is 1 whatever these are: they have no gradient, and
+move by rounding alone, on some processors."""
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +109,7 @@ def test_four_pairs_are_learned_and_the_guidance_takes_the_result(pairs, models,
     for key, value in tuned.items():
         if "_ip." in key:  # not trained: what the IP-Adapter put there
             torch.testing.assert_close(value, adapter[key.removeprefix(f"{ATTENTION}.")], rtol=0, atol=0)
-        else:
+        elif key not in ALONE:
             assert not torch.equal(value, start[key]), key
 
     options = LightningDragOptions(models=str(models), scheduler="ddim", lightning_drag=str(out))

@@ -60,4 +60,4 @@ def test_the_shipped_model_is_small_and_says_what_it_left_out():
     assert "OpenDungeons" in card.left_out
     assert "mtg_character" not in card.families
     assert "Quaternius animated animals" in card.families
-    assert len(load_model(SHIPPED)) == 2
+    assert len(load_model(SHIPPED)) == 3
