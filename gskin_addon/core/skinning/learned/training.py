@@ -212,7 +212,7 @@ class Trainer:
     def _forget(self, role: Tensor, lesson: Lesson, rng: np.random.Generator) -> None:
         """Take names away, in place."""
         lost = rng.random(len(lesson.heads)) < (1.0 if rng.random() < NAMELESS else FORGOTTEN)
-        role[torch.from_numpy(lost[lesson.bone])] = 0  # -1, no bone, reads some bone: its role does not matter
+        role[torch.from_numpy(lost[lesson.bone])] = 0  # nothing reads the role where there is no bone (-1)
 
     def _share(self) -> float:
         """Of the peak learning rate: a short rise, then half a cosine down to a third.
