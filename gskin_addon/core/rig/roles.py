@@ -23,25 +23,25 @@ _RULES: tuple[tuple[str, str], ...] = (
     ("thumb", r"thumbs?"),
     ("finger", r"fingers?|index|middle|ring|pinky|pinkie|little|digit|metacarpal|phalanx|palm [a-z]"),
     ("toe", r"toes?|ball|footfinger"),
-    ("eye", r"eye|eyes|oculi|eyeball"),
-    ("jaw", r"jaw|mouth|chin|tongue|lip|lips|teeth|beak|oris|proboscis|mandible|pincer"),
+    ("eye", r"eyes?|oculi|eyeball"),
+    ("jaw", r"jaw|mouth|chin|tongue|lips?|teeth|beak|oris|proboscis|mandible|pincer"),
     ("face", r"face|brow|eyebrow|lid|eyelid|cheek|nose|snout|special|levator|orbicularis|risorius|temporalis"),
-    ("ear", r"ear|ears|horn|antenna|antler|feeler"),
+    ("ear", r"ears?|horn|antenna|antler|feeler"),
     ("cloth", r"cape|loincloth|cloak|skirt|cloth|robe|dress|coat|scarf|belt|flag|banner|hat|helmet|hood|backpack|bag"),
     ("thing", r"weapon|sword|gun|axe|shield|staff|bow|club|tool|item|prop|hammer|trigger|magazine|wheel|track|blade"),
     ("wing", r"wing|feather"),
     ("fin", r"fin|flipper|gill|dorsal"),
     ("tail", r"tail|sting|stinger"),
-    ("shoulder", r"shoulder|shoulders|clavicle|collar|scapula|shoulderbone"),
+    ("shoulder", r"shoulders?|clavicle|collar|scapula|shoulderbone"),
     ("lower arm", r"forearm|fore arm|lower arm|lowerarm|arm lower|elbow|ellbow|low arm|radius|ulna"),
     ("upper arm", r"upper arm|upperarm|arm upper|up arm|uparm|humerus"),
-    ("hand", r"hand|palm|wrist|fist|claw|hands"),
+    ("hand", r"hands?|palm|wrist|fist|claw"),
     ("lower leg", r"lower leg|lowerleg|leg lower|low leg|lowleg|shin|calf|knee|lower thigh"),
     ("upper leg", r"thigh|upper leg|upperleg|leg upper|up leg|upleg|femur|drum"),
     ("foot", r"foot|feet|heel|ankle|paw|hoof|hooves"),
     ("leg", r"legs?|frontleg|backleg|foreleg|hindleg"),
-    ("arm", r"arm|arms|tentacle"),
-    ("hips", r"hip|hips|pelvis|waist|cog|butt"),
+    ("arm", r"arms?|tentacle"),
+    ("hips", r"hips?|pelvis|waist|cog|butt"),
     ("neck", r"neck"),
     ("head", r"head|skull"),
     ("chest", r"chest|torso|thorax|ribcage|rib|breast|upper body|body upper|wishbone"),
@@ -73,4 +73,4 @@ def bone_roles(names: Iterable[str]) -> NDArray[np.int8]:
     for name in names:
         words = words_of(name)
         found.append(next((i for i, p in enumerate(_PATTERNS, start=1) if p.search(words)), 0))
-    return np.array(found, np.int8).reshape(-1)
+    return np.array(found, np.int8)

@@ -88,13 +88,20 @@ def bone_segments(skeleton: Skeleton) -> BoneSegments:
     return BoneSegments(np.array(starts), np.array(ends), np.array(bones))
 
 
+def closest_on_segment(
+    points: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The points (N, 3) of the segment from start to end (3,) that are closest to points (N, 3)."""
+    axis = end - start
+    along = np.clip((points - start) @ axis / max(float(axis @ axis), 1e-30), 0, 1)
+    return np.asarray(start + along[:, None] * axis)
+
+
 def segment_distance(
     points: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Distances (N,) from points (N, 3) to the segment from start to end (3,)."""
-    axis = end - start
-    along = np.clip((points - start) @ axis / max(float(axis @ axis), 1e-30), 0, 1)
-    return np.asarray(np.linalg.norm(points - start - along[:, None] * axis, axis=1))
+    return np.asarray(np.linalg.norm(points - closest_on_segment(points, start, end), axis=1))
 
 
 def tail_scale(skeleton: Skeleton) -> float:

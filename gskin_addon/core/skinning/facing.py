@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..rig.segments import BoneSegments
+from ..rig.segments import BoneSegments, closest_on_segment
 from .voxels import VoxelGrid
 
 Array = NDArray[Any]
@@ -82,9 +82,7 @@ def facing_distances(points: Array, out: Array, segments: BoneSegments, distance
     """
     far = np.empty_like(distances, np.float32)
     for column, (start, end) in enumerate(zip(segments.starts, segments.ends, strict=True)):
-        axis = end - start
-        t = np.clip((points - start) @ axis / max(float(axis @ axis), 1e-30), 0, 1)
-        way = points - (start + t[:, None] * axis)
+        way = points - closest_on_segment(points, start, end)
         cosine = np.einsum("nk,nk->n", way, out) / np.maximum(np.linalg.norm(way, axis=1), 1e-30)
         far[:, column] = np.maximum(distances[:, column], floor) / (0.5 * (cosine + 1.001))
     return segments.nearest(far)

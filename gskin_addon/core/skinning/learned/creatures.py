@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...rig.segments import closest_on_segment
 from ...rig.skeleton import Skeleton
 from ...splats.cloud import SH_C0, SplatCloud
 from . import clothes, things
@@ -64,9 +65,9 @@ def bury_roots(skeleton: Skeleton, plan: Plan, rng: np.random.Generator) -> Skel
     heads = skeleton.heads.copy()
     for bone, parent in enumerate(skeleton.parents):
         if parent >= 0 and 0 < radius[bone] < 0.7 * radius[parent]:
-            start, axis = skeleton.heads[parent], skeleton.tails[parent] - skeleton.heads[parent]
-            t = np.clip((heads[bone] - start) @ axis / (axis @ axis), 0, 1)
-            heads[bone] += deep * (start + t * axis - heads[bone])
+            own = skeleton.heads[bone : bone + 1]
+            axis = closest_on_segment(own, skeleton.heads[parent], skeleton.tails[parent])
+            heads[bone] += deep * (axis - own)[0]
     return Skeleton(skeleton.names, skeleton.parents, heads, skeleton.tails)
 
 
@@ -89,7 +90,7 @@ def _head(plan: Plan, parent: int, at: Array, way: Array, size: float, color: Ar
             start, length = middle + side + way * 0.3 * size, rng.uniform(0.5, 1.6) * size
             if boned:
                 plan.chain(head, start, side, np.full(rng.integers(1, 3), length), 0.25 * size, 0.6, hue,
-                           names=("Ear",))
+                           names=("Ear",))  # fmt: skip
             else:
                 tip = start + side / size * length
                 plan.cover(head, 0.2 * size, 0.05 * size, hue, segment=(start, tip), rigid=True)
@@ -124,9 +125,7 @@ def _carried(plan: Plan, bones: list[int], size: float) -> None:
 def _spine(plan: Plan, start: Array, way: Array, length: float, radius: float, color: Array) -> list[int]:
     """A root, perhaps bare, and a row of bones with the trunk around them."""
     rng = plan.rng
-    parent = -1
-    if rng.random() < 0.3:
-        parent = plan.bone(-1, np.zeros(3), np.array([0.0, 0.0, 0.2]), "Root")
+    parent = plan.root(0.3)
     count = int(rng.integers(1, 5))
     wide = np.array([1.0, 0.0, 0.0])
     taper = rng.uniform(0.9, 1.1)
@@ -142,8 +141,7 @@ def _legs(plan: Plan, parent: int, hip: Array, height: float, radius: float, col
         count = int(rng.integers(2, 5))
         share = rng.uniform(0.7, 1.3, count)
         way = np.array([rng.uniform(0, 0.3), rng.uniform(-0.2, 0.2), -1.0])
-        made = plan.chain(parent, hip, way, height * share / share.sum(), radius, 0.8, color, bend=0.12,
-                          names=LEG)
+        made = plan.chain(parent, hip, way, height * share / share.sum(), radius, 0.8, color, bend=0.12, names=LEG)
         if rng.random() < 0.7:
             shoe = random_color(rng) if rng.random() < 0.5 else color
             at = plan.tails[made[-1]]
@@ -285,7 +283,7 @@ def _swimmer(plan: Plan) -> None:
     """Snakes and fish."""
     rng, color = plan.rng, random_color(plan.rng)
     count, long, stout = int(rng.integers(3, 14)), rng.uniform(1.0, 2.0), rng.uniform(0.06, 0.25)
-    parent = plan.bone(-1, np.zeros(3), np.array([0.0, 0.0, 0.2]), "Root") if rng.random() < 0.3 else -1
+    parent = plan.root(0.3)
     made = plan.chain(parent, np.zeros(3), np.array([0.0, 1.0, 0.0]), np.full(count, long / count), stout, 0.9, color,
                       bend=rng.uniform(0, 0.2), flat=np.array([1.0, 0, 0]), thin=rng.uniform(0.5, 1),
                       names=("Spine",))  # fmt: skip

@@ -86,6 +86,12 @@ class Plan:
         self.names.append(name)
         return len(self.parents) - 1
 
+    def root(self, chance: float) -> int:
+        """With this chance a bare root bone on the ground; -1, no bone, otherwise."""
+        if self.rng.random() >= chance:
+            return -1
+        return self.bone(-1, np.zeros(3), np.array([0.0, 0.0, 0.2]), "Root")
+
     def cover(
         self, bone: int, r0: float, r1: float, color: Array, *, flat: Array | None = None, thin: float = 1.0,
         segment: tuple[Array, Array] | None = None, rigid: bool = False, drape: tuple[int, ...] = (), sag: float = 0.0,

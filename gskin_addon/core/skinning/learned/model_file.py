@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...errors import InputError
+from ...rig.roles import ROLES
 
 if TYPE_CHECKING:
     from .network import PriorNetwork
@@ -36,7 +37,6 @@ def save_model(networks: Sequence[PriorNetwork], path: Path, card: ModelCard) ->
     import torch
     from safetensors.torch import save_file
 
-    from ...rig.roles import ROLES
     from .features import NAMES
 
     tensors = {
@@ -78,7 +78,6 @@ def load_model(path: Path) -> tuple[PriorNetwork, ...]:
     """
     import torch
 
-    from ...rig.roles import ROLES
     from .features import NAMES
     from .network import PriorNetwork, Shape
 

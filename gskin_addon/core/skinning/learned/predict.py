@@ -75,15 +75,7 @@ def predict_nodes(networks: Sequence[PriorNetwork], body: Body, bones: int) -> t
 
     described = body.description
     near, wide = body.parts.near
-    arrays = {
-        "bone": described.bone,
-        "values": described.values,
-        "relation": described.relation,
-        "role": described.role,
-        "near": near,
-        "wide": wide,
-        "labels": body.parts.labels,
-    }
+    arrays = {**vars(described), "near": near, "wide": wide, "labels": body.parts.labels}
     with torch.no_grad():
         batch = make_batch([arrays])
         answers = [network(batch) for network in networks]

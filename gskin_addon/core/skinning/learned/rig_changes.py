@@ -13,6 +13,7 @@ from ...rig.skeleton import Skeleton
 Array = NDArray[Any]
 Rig = tuple[Skeleton, Array]
 IDLE_NAMES = ("IK", "Control", "", "")
+"""Names of idle bones, in turn by the bone that they drive; half of them say nothing."""
 
 
 def split_bones(

@@ -31,7 +31,7 @@ def plant(plan: Plan) -> None:
     rng = plan.rng
     bark, leaf = random_color(rng), random_color(rng)
     count, tall, thick = int(rng.integers(1, 6)), rng.uniform(0.7, 1.5), rng.uniform(0.04, 0.2)
-    parent = plan.bone(-1, np.zeros(3), 0.2 * UP, "Root") if rng.random() < 0.4 else -1
+    parent = plan.root(0.4)
     trunk = plan.chain(parent, np.zeros(3), UP, np.full(count, tall / count), thick, 0.85, bark, bend=0.1)
     crown = rng.uniform(0.2, 0.6)
 
@@ -73,7 +73,7 @@ def machine(plan: Plan) -> None:
                        rigid=True)  # fmt: skip
 
     high, size = rng.uniform(0.3, 1.0), rng.uniform(0.15, 0.4)
-    root = plan.bone(-1, np.zeros(3), 0.2 * UP, "Root") if rng.random() < 0.5 else -1
+    root = plan.root(0.5)
     hull_at = high * UP
     hull = plan.bone(root, hull_at, hull_at + size * (UP if rng.random() < 0.5 else np.array([0.0, -1.0, 0.0])), "Body")
     part(hull, hull_at - [0, size, 0], hull_at + [0, size, 0], size)
@@ -165,7 +165,7 @@ def fellow(plan: Plan) -> None:
     """A round body with few bones: fruit, slimes, eggs; arms, legs, wings, eyes and leaves as it comes."""
     rng, skin = plan.rng, random_color(plan.rng)
     size, high = rng.uniform(0.3, 0.6), rng.uniform(0.0, 0.4)
-    parent = plan.bone(-1, np.zeros(3), 0.2 * UP, "Root") if rng.random() < 0.5 else -1
+    parent = plan.root(0.5)
     start = (high + 0.3 * size) * UP
     count = int(rng.integers(1, 4))
     tall = size * rng.uniform(0.5, 1.6)
