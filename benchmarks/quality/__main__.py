@@ -28,8 +28,9 @@ from .work import Task, order_methods
 
 ROOT = Path(__file__).resolve().parents[2]
 DOC = ROOT / "docs" / "benchmarks.md"
-BASELINES = ("initial", "geodesic", "nearest", "heat_mesh", "heat_proxy", "bbw")
-SLOW = {"oracle": 24}
+BASELINES = ("initial", "geodesic", "nearest", "heat_mesh", "heat_proxy", "heat_splats", "bbw")
+GUIDED = ("ours:visibility+elastic", "ours:learned+elastic", "oracle")
+SLOW = dict.fromkeys(GUIDED, 24)
 """Methods that by default run on the first few assets of the balanced order only."""
 
 
@@ -65,7 +66,7 @@ def _parse() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="bench-quality", description=__doc__)
     add = parser.add_argument
     defaults = Protocol()
-    add("--methods", default=",".join([*BASELINES, "learned", OURS, "oracle"]), help="names, separated by commas")
+    add("--methods", default=",".join([*BASELINES, "learned", OURS, *GUIDED]), help="names, separated by commas")
     add("--assets", default="", help="names, separated by commas; default all candidates")
     add("--categories", default="", help=f"of {', '.join(CATEGORIES)}, separated by commas")
     add("--sample", type=int, default=0, help="this many assets, balanced over categories and families")

@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 
 from benchmarks.assets import ASSETS
-from gskin_addon.core.skinning.learned.examples import OPEN_LICENCES
+from gskin_addon.core.training.catalogue import FREE_LICENCES
 
 CATEGORIES = ("humanoid", "animal", "creature", "object")
 
@@ -48,7 +48,7 @@ def family_of(name: str, folder: Path = ASSETS) -> str:
 
 def is_open(name: str, folder: Path = ASSETS) -> bool:
     """Whether an asset's licence asks for no more than its author's name; KeyError if there is no such asset."""
-    return _catalogue(folder)[name]["license"] in OPEN_LICENCES
+    return _catalogue(folder)[name]["license"] in FREE_LICENCES
 
 
 def entry_of(name: str, folder: Path = ASSETS) -> Entry:

@@ -33,21 +33,21 @@ def run(options: argparse.Namespace) -> None:
     import torch
 
     from ..core.skinning.learned.curriculum import FOLDS, NEVER, collect, plan
-    from ..core.skinning.learned.examples import read_catalogue
+    from ..core.training.catalogue import list_assets
 
     torch.set_num_threads(options.threads)
-    entries = read_catalogue(options.assets)
+    assets = list_assets(options.assets, near_duplicates=True)
     left = tuple(dict.fromkeys((*options.leave_out, *FOLDS.get(options.fold, ()), *NEVER)))
     if options.fold and options.fold not in FOLDS:
         raise InputError(f"There is no fold '{options.fold}'; choose one of {', '.join(FOLDS)}.")
-    unknown = sorted(set(options.leave_out) - {entry["family"] for entry in entries})
+    unknown = sorted(set(options.leave_out) - {asset.family for asset in assets})
     if unknown:
         raise InputError(f"--leave-out '{unknown[0]}' is no family of '{options.assets}'; see its catalog.json.")
     cache = options.cache or options.out.with_suffix(".lessons")
     printer = ProgressPrinter(options.progress)
     try:
         clock = _Clock(printer)
-        requests = plan(entries, options.assets, left, options.creatures)
+        requests = plan(assets, left, options.creatures)
         syllabus = collect(requests, cache, lambda done, all_: clock("lessons", done / all_, 0.0, 0.3))
         _train(options, syllabus, left, clock)
     finally:

@@ -23,8 +23,9 @@ from ..rig.lbs import skin_cloud
 from ..skinning.extent import unit_frame
 from ..skinning.initial import initial_weights
 from ..worker.files import write_arrays, write_json
+from .catalogue import Asset, list_assets
 from .pairs import MANIFEST, SHARDS, VERSION, Pair, encode_image, read_manifest
-from .rigged import Asset, RiggedSplats, list_assets, load_asset
+from .rigged import RiggedSplats, load_asset
 from .split import TRAIN, VALIDATION, split_families
 
 TRIES = 8

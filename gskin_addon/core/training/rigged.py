@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rigged meshes to learn from: a folder of flattened assets, read as splats with the artist's weights.
+"""A rigged mesh, flattened into one npz file, as splats with the artist's weights.
 
-A folder holds `<name>.npz` files, itself or in `npz/`, and may have a `catalog.json` with `assets[]` of `name`,
-`npz`, `family`, `license`, `author`, `near_duplicate_of`. Arrays of a file, in a Z-up world: verts (V,3), faces (F,3),
-corner_rgb (F,3,3) uint8, sparse weights w_row, w_col, w_val, bone_names, bone_parent, bone_head, bone_tail (B,3),
-bone_rest (B,4,4), bone_used (B,) and maybe anim_mats (A,B,4,4).
+Arrays of a file, in a Z-up world: verts (V,3), faces (F,3), corner_rgb (F,3,3) uint8, sparse weights w_row, w_col,
+w_val, bone_names, bone_parent, bone_head, bone_tail (B,3), bone_rest (B,4,4), bone_used (B,) and maybe anim_mats
+(A,B,4,4).
 """
 
 from __future__ import annotations
 
-import json
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,22 +21,8 @@ from ..rig.skeleton import Skeleton
 from ..splats.cloud import SplatCloud
 from ..splats.from_mesh import sample_mesh
 
-FREE_LICENCES = ("CC0", "MIT", "Apache-2.0", "BSD", "CC-BY-3.0", "CC-BY-4.0")
-"""Licences under which weights learned from an asset may be passed on (CC-BY with its credit)."""
-
 _ARRAYS = ("verts", "faces", "corner_rgb", "w_row", "w_col", "w_val", "bone_names", "bone_parent")
 _RIG = ("bone_head", "bone_tail", "bone_rest", "bone_used")
-
-
-@dataclass(frozen=True)
-class Asset:
-    """One entry of a folder. family: assets that share rigs or meshes, never split between train and test."""
-
-    name: str
-    path: Path
-    family: str
-    license: str = ""
-    author: str = ""
 
 
 @dataclass(frozen=True)
@@ -66,31 +50,6 @@ class RiggedSplats:
     weights: NDArray[np.float32]
     clip: NDArray[np.float64] | None
     surface: Surface | None = None
-
-
-def list_assets(folder: Path, *, any_licence: bool = False) -> list[Asset]:
-    """The assets of a folder by name, without near duplicates.
-
-    Where a catalogue states licences, only assets of `FREE_LICENCES` are taken unless `any_licence`; without a
-    catalogue the folder's owner answers for them, and every asset is a family of its own.
-
-    Raises:
-        InputError: there is no such folder, or nothing in it to learn from.
-    """
-    if not folder.is_dir():
-        raise InputError(f"The assets' folder '{folder}' does not exist; name a folder of rigged .npz assets.")
-    catalog = folder / "catalog.json"
-    if catalog.is_file():
-        found = [_entry(folder, entry) for entry in _entries(catalog) if not entry.get("near_duplicate_of")]
-        if not any_licence:
-            found = [asset for asset in found if asset.license in FREE_LICENCES]
-    else:
-        inner = folder / "npz" if (folder / "npz").is_dir() else folder
-        found = [Asset(path.stem, path, path.stem) for path in inner.glob("*.npz")]
-    found = sorted((asset for asset in found if asset.path.is_file()), key=lambda asset: asset.name)
-    if not found:
-        raise InputError(f"'{folder}' holds no assets to learn from; put rigged .npz assets there.")
-    return found
 
 
 def load_asset(path: Path, count: int, seed: int = 0, *, unused_bones: bool = False) -> RiggedSplats:
@@ -125,25 +84,6 @@ def load_asset(path: Path, count: int, seed: int = 0, *, unused_bones: bool = Fa
     clip = data["anim_mats"][:, order].astype(np.float64) if "anim_mats" in data else None
     surface = Surface(verts, faces.astype(np.int64), face, bary)
     return RiggedSplats(path.stem, cloud, skeleton, weights.astype(np.float32), clip, surface)
-
-
-def _entries(catalog: Path) -> list[dict[str, Any]]:
-    try:
-        entries = json.loads(catalog.read_text(encoding="utf-8"))["assets"]
-        return [entry for entry in entries if entry["name"] and entry["npz"]]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"'{catalog}' is not a catalogue of assets ({error}); correct or remove it.") from None
-
-
-def _entry(folder: Path, entry: dict[str, Any]) -> Asset:
-    name = str(entry["name"])
-    return Asset(
-        name,
-        folder / str(entry["npz"]),
-        str(entry.get("family") or name),
-        str(entry.get("license") or ""),
-        str(entry.get("author") or ""),
-    )
 
 
 def _read(path: Path) -> dict[str, NDArray[Any]]:

@@ -8,7 +8,7 @@ from collections import defaultdict
 from collections.abc import Collection, Sequence
 
 from ..errors import InputError
-from .rigged import Asset
+from .catalogue import Asset
 
 TRAIN, VALIDATION = "train", "validation"
 

@@ -8,7 +8,8 @@ import pytest
 from rigged_assets import write_collection, write_tube
 
 from gskin_addon.core.errors import InputError
-from gskin_addon.core.training.rigged import Asset, list_assets, load_asset
+from gskin_addon.core.training.catalogue import Asset, list_assets
+from gskin_addon.core.training.rigged import load_asset
 from gskin_addon.core.training.split import TRAIN, VALIDATION, split_families
 
 
@@ -54,6 +55,10 @@ def test_a_catalogue_gives_families_and_licences(tmp_path):
     entries[1]["near_duplicate_of"] = "fox_0"
     catalog.write_text(json.dumps({"assets": entries}))
     assert [asset.name for asset in list_assets(tmp_path / "set")] == ["fox_0"]
+    assert [asset.name for asset in list_assets(tmp_path / "set", near_duplicates=True)] == ["fox_0", "fox_1"]
+    (tmp_path / "set" / "npz" / "fox_0.npz").unlink()
+    with pytest.raises(InputError, match=r"fox_0\.npz' of .* does not exist"):
+        list_assets(tmp_path / "set")
     catalog.write_text('{"assets": 3}')
     with pytest.raises(InputError, match="not a catalogue"):
         list_assets(tmp_path / "set")

@@ -7,9 +7,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from .examples import trainable
+from ...training.catalogue import Asset
 from .lessons import asset_lesson, creature_lesson
 from .training import CREATURES, Syllabus
 
@@ -50,21 +49,18 @@ class Request:
         return asset_lesson(self.npz, self.name, self.variant, cache)
 
 
-def plan(
-    entries: Sequence[dict[str, Any]], folder: Path, leave_out: Sequence[str], creatures: int
-) -> list[Request]:
-    """The lessons of all families that may be learned from; what is the same in every fold comes out the same."""
-    families: dict[str, list[dict[str, Any]]] = {}
-    for entry in trainable(entries, leave_out):
-        families.setdefault(entry["family"], []).append(entry)
+def plan(assets: Sequence[Asset], leave_out: Sequence[str], creatures: int) -> list[Request]:
+    """The lessons of all families but those left out; what is the same in every fold comes out the same."""
+    families: dict[str, list[Asset]] = {}
+    for asset in assets:
+        if asset.family not in leave_out:
+            families.setdefault(asset.family, []).append(asset)
     rounds: dict[int, list[Request]] = {}
-    for family, assets in families.items():
-        wanted = math.ceil(PER_FAMILY * math.sqrt(len(assets)))
-        for number in range(max(wanted, len(assets))):
-            entry, variant = assets[number % len(assets)], number // len(assets)
-            rounds.setdefault(variant, []).append(
-                Request(entry["name"], family, folder / entry["npz"], variant)
-            )
+    for family, members in families.items():
+        wanted = math.ceil(PER_FAMILY * math.sqrt(len(members)))
+        for number in range(max(wanted, len(members))):
+            asset, variant = members[number % len(members)], number // len(members)
+            rounds.setdefault(variant, []).append(Request(asset.name, family, asset.path, variant))
     for seed in range(creatures):
         rounds.setdefault(seed // 40, []).append(Request("creature", CREATURES, None, seed))
     return [request for _, some in sorted(rounds.items()) for request in some]

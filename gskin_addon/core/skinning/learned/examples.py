@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,9 +17,6 @@ from ...splats.cloud import SH_C0, SplatCloud
 from ...splats.from_mesh import sample_mesh
 
 Array = NDArray[Any]
-
-OPEN_LICENCES = ("CC0", "MIT", "Apache-2.0", "CC-BY-3.0", "CC-BY-4.0")
-"""What may train weights that are given away; share-alike works only evaluate."""
 
 
 @dataclass(frozen=True)
@@ -45,21 +40,6 @@ class Subject:
     skeleton: Skeleton
     weights: Array
     valid: Array
-
-
-def read_catalogue(folder: Path) -> list[dict[str, Any]]:
-    """The entries of `catalog.json`: at least name, family, license and npz."""
-    path = folder / "catalog.json"
-    if not path.is_file():
-        raise InputError(f"'{path}' does not exist; name the folder that holds catalog.json and npz/.")
-    try:
-        entries: list[dict[str, Any]] = json.loads(path.read_text())["assets"]
-        for entry in entries:
-            for key in ("name", "family", "license", "npz"):
-                entry[key]
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError(f"'{path}' is no catalogue of assets ({error}); see docs/training.md.") from error
-    return entries
 
 
 def read_mesh_asset(path: Path) -> Mesh:
@@ -179,8 +159,3 @@ def add_strays(subject: Subject, rng: np.random.Generator, size: float) -> Subje
     weights = np.concatenate([subject.weights, subject.weights[picked]])
     valid = np.concatenate([subject.valid, np.zeros(count, bool)])
     return Subject(SplatCloud(**both), subject.skeleton, weights, valid)
-
-
-def trainable(entries: Sequence[dict[str, Any]], leave_out: Sequence[str]) -> list[dict[str, Any]]:
-    """The entries with an open licence whose family is not left out."""
-    return [e for e in entries if e["license"] in OPEN_LICENCES and e["family"] not in leave_out]

@@ -3,10 +3,9 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
+from rigged_assets import write_collection, write_tube
 
 from gskin_addon import cli
 from gskin_addon.core.skinning.learned import curriculum, training
@@ -16,42 +15,16 @@ from gskin_addon.core.skinning.learned.predict import learned_weights
 from gskin_addon.core.worker.settings import JobSettings
 from tests.helpers.limb import make_limb
 
-
-def write_tube(path, bones):
-    """A rigged tube along x; its last bone controls nothing and comes before the others."""
-    rings, sides = 8 * bones + 1, 8
-    x, angle = np.linspace(0, bones, rings), np.linspace(0, 2 * np.pi, sides, endpoint=False)
-    xx, aa = np.meshgrid(x, angle, indexing="ij")
-    verts = np.stack([xx, 0.2 * np.cos(aa), 0.2 * np.sin(aa)], axis=-1).reshape(-1, 3)
-    i, j = (grid.ravel() for grid in np.meshgrid(np.arange(rings - 1), np.arange(sides), indexing="ij"))
-    a, b = i * sides + j, i * sides + (j + 1) % sides
-    faces = np.concatenate([np.stack([a, a + sides, b], 1), np.stack([b, a + sides, b + sides], 1)])
-    owner = np.clip(np.floor(verts[:, 0]), 0, bones - 1).astype(int)
-    heads = np.array([[k, 0.0, 0.0] for k in range(bones)])
-    np.savez(
-        path,
-        verts=verts, faces=faces, corner_rgb=np.full((len(faces), 3, 3), 128, np.uint8),
-        w_row=np.arange(len(verts)), w_col=owner + 1, w_val=np.ones(len(verts), np.float32),
-        bone_parent=np.array([bones, -1, *range(1, bones)]),
-        bone_head=np.concatenate([[[0.0, 0, 1]], heads]),
-        bone_tail=np.concatenate([[[0.0, 0, 2]], heads + [1.0, 0, 0]]),
-    )  # fmt: skip
+LICENCES = {"Tubes": "CC0", "Pipes": "CC-BY-4.0", "Hoses": "CC-BY-SA-3.0"}
 
 
 @pytest.fixture
 def assets(tmp_path, monkeypatch):
     monkeypatch.setattr(curriculum, "PER_FAMILY", 1)
-    folder = tmp_path / "assets"
-    (folder / "npz").mkdir(parents=True)
-    entries = []
-    for bones, family, licence in (
-        (2, "Tubes", "CC0"),
-        (3, "Pipes", "CC-BY-4.0"),
-        (4, "Hoses", "CC-BY-SA-3.0"),
-    ):
-        write_tube(folder / "npz" / f"{family}.npz", bones)
-        entries.append({"name": family, "family": family, "license": licence, "npz": f"npz/{family}.npz"})
-    (folder / "catalog.json").write_text(json.dumps({"assets": entries}))
+    folder = write_collection(tmp_path / "assets", dict.fromkeys(LICENCES, 1), LICENCES)
+    # Three bones, and a control bone that comes before its parent; neither names nor used bones are told.
+    odd = {"bone_parent": np.array([3, -1, 1, 2]), "bone_names": None, "bone_used": None, "bone_rest": None}
+    write_tube(folder / "npz" / "Pipes_0.npz", 3, **odd)
     return folder
 
 
@@ -94,7 +67,7 @@ def test_a_stopped_training_goes_on_and_ends_the_same(assets, tmp_path, monkeypa
 
 
 def test_control_bones_are_known_by_their_weights(assets):
-    mesh = read_mesh_asset(assets / "npz" / "Pipes.npz")
+    mesh = read_mesh_asset(assets / "npz" / "Pipes_0.npz")
     mesh.skeleton.validate()
     assert mesh.used.sum() == 3
     skeleton, weights = only_used(mesh.skeleton, mesh.weights, mesh.used)
@@ -106,13 +79,13 @@ def test_control_bones_are_known_by_their_weights(assets):
 def test_wrong_input_is_one_sentence(assets, tmp_path, capsys):
     out = tmp_path / "m.safetensors"
     assert train(tmp_path / "nowhere", out) == 2
-    assert "catalog.json" in capsys.readouterr().err
+    assert "nowhere' does not exist" in capsys.readouterr().err
     assert train(assets, out, "--leave-out", "Cats") == 2
     assert "'Cats' is no family" in capsys.readouterr().err
     assert train(assets, out, "--fold", "seventh") == 2
     assert "people" in capsys.readouterr().err
     assert train(assets, tmp_path / "m.bin") == 2
     assert ".safetensors" in capsys.readouterr().err
-    (assets / "npz" / "Tubes.npz").write_bytes(b"no")
+    (assets / "npz" / "Tubes_0.npz").write_bytes(b"no")
     assert train(assets, out, "--leave-out", "Pipes") == 2
-    assert "Tubes.npz" in capsys.readouterr().err
+    assert "Tubes_0.npz" in capsys.readouterr().err
