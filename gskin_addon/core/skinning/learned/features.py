@@ -206,7 +206,7 @@ def _share(
     skeleton: Skeleton, reach: Reach, kin: Array, owner: Array, size: float, rows: Array, at: Any
 ) -> Array:
     """(M, K, len(SHARE_FEATURES)): how much of the splat, and of the whole object, a bone claims."""
-    parents, bones, order = skeleton.parents, skeleton.count, at[1]
+    parents, order = skeleton.parents, at[1]
     floor = np.float32(1e-3 * size)
     near, heat = np.maximum(np.asarray(reach.distances, np.float32), floor), np.asarray(reach.heat, np.float32)
     owned = owner.mean(axis=0)
@@ -231,7 +231,6 @@ def _share(
     plain, hard = _log(reach.plain[rows][at]), _log(reach.hard[rows][at])
     faced = _falloff(np.asarray(reach.faced, np.float32))[rows][at]
     last = np.stack([_log(kin[rows][at]), _log(parent_heat), parent_way, child_way, plain, hard, faced], axis=-1)
-    assert bones == near.shape[1]
     return np.concatenate([first, bone_columns, last], axis=-1).astype(np.float32)
 
 
