@@ -40,7 +40,8 @@ def run(options: argparse.Namespace) -> None:
     left = tuple(dict.fromkeys((*options.leave_out, *FOLDS.get(options.fold, ()), *NEVER)))
     if options.fold and options.fold not in FOLDS:
         raise InputError(f"There is no fold '{options.fold}'; choose one of {', '.join(FOLDS)}.")
-    unknown = sorted(set(options.leave_out) - {asset.family for asset in assets})
+    every = list_assets(options.assets, any_licence=True, near_duplicates=True) if options.leave_out else []
+    unknown = sorted(set(options.leave_out) - {asset.family for asset in every})
     if unknown:
         raise InputError(f"--leave-out '{unknown[0]}' is no family of '{options.assets}'; see its catalog.json.")
     cache = options.cache or options.out.with_suffix(".lessons")

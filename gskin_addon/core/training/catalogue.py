@@ -37,41 +37,47 @@ def list_assets(folder: Path, *, any_licence: bool = False, near_duplicates: boo
     every asset is a family of its own.
 
     Raises:
-        InputError: there is no such folder, nothing in it to learn from, or a file of the catalogue is missing.
+        InputError: there is no such folder, nothing in it to learn from, or an entry lacks a value. Whether a file is
+            there shows when it is read.
     """
     if not folder.is_dir():
-        raise InputError(f"The assets' folder '{folder}' does not exist; name a folder of rigged .npz assets.")
+        raise InputError(
+            f"The assets' folder '{folder}' does not exist; name a folder of rigged .npz assets, with or without a "
+            "catalog.json."
+        )
     catalog = folder / "catalog.json"
     if catalog.is_file():
         entries = [e for e in _entries(catalog) if near_duplicates or not e.get("near_duplicate_of")]
         found = [_asset(folder, entry) for entry in entries]
         if not any_licence:
             found = [asset for asset in found if asset.license in FREE_LICENCES]
+            if entries and not found:
+                free = ", ".join(FREE_LICENCES)
+                raise InputError(f"No asset of '{catalog}' has a licence to learn from: its license is none of {free}.")
     else:
         inner = folder / "npz" if (folder / "npz").is_dir() else folder
         found = [Asset(path.stem, path, path.stem) for path in sorted(inner.glob("*.npz"))]
     if not found:
         raise InputError(f"'{folder}' holds no assets to learn from; put rigged .npz assets there.")
-    for asset in found:
-        if not asset.path.is_file():
-            raise InputError(f"'{asset.path}' of '{catalog}' does not exist; put it there or remove the entry.")
     return found
 
 
 def _entries(catalog: Path) -> list[dict[str, Any]]:
     try:
-        entries = json.loads(catalog.read_text(encoding="utf-8"))["assets"]
-        return [entry for entry in entries if entry["name"] and entry["npz"]]
+        entries = [e for e in json.loads(catalog.read_text(encoding="utf-8"))["assets"] if e["name"] and e["npz"]]
+        for entry in entries:
+            for key in ("family", "license"):
+                entry[key]
+        return entries
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"'{catalog}' is not a catalogue of assets ({error}); correct or remove it.") from None
 
 
 def _asset(folder: Path, entry: dict[str, Any]) -> Asset:
-    name = str(entry["name"])
     return Asset(
-        name,
+        str(entry["name"]),
         folder / str(entry["npz"]),
-        str(entry.get("family") or name),
-        str(entry.get("license") or ""),
+        str(entry["family"]),
+        str(entry["license"]),
         str(entry.get("author") or ""),
     )

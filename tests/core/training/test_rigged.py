@@ -56,9 +56,13 @@ def test_a_catalogue_gives_families_and_licences(tmp_path):
     catalog.write_text(json.dumps({"assets": entries}))
     assert [asset.name for asset in list_assets(tmp_path / "set")] == ["fox_0"]
     assert [asset.name for asset in list_assets(tmp_path / "set", near_duplicates=True)] == ["fox_0", "fox_1"]
-    (tmp_path / "set" / "npz" / "fox_0.npz").unlink()
-    with pytest.raises(InputError, match=r"fox_0\.npz' of .* does not exist"):
+    catalog.write_text(json.dumps({"assets": [{**entry, "license": "CC-BY-SA-3.0"} for entry in entries]}))
+    with pytest.raises(InputError, match="licence to learn from"):
         list_assets(tmp_path / "set")
+    for key in ("family", "license"):
+        catalog.write_text(json.dumps({"assets": [{k: v for k, v in entries[0].items() if k != key}]}))
+        with pytest.raises(InputError, match=f"not a catalogue of assets .'{key}'"):
+            list_assets(tmp_path / "set")
     catalog.write_text('{"assets": 3}')
     with pytest.raises(InputError, match="not a catalogue"):
         list_assets(tmp_path / "set")
