@@ -27,9 +27,9 @@ from gskin_addon.core.errors import InputError
 from gskin_addon.core.guidance.control import make_signals
 from gskin_addon.core.guidance.oracle import Oracle
 from gskin_addon.core.guidance.provider import GuidanceContext
-from gskin_addon.core.render import cpu
 from gskin_addon.core.render.backends import WARP_DEVICE, cuda_device, resolve_backend
 from gskin_addon.core.render.camera import paper_views, percentile_bounds
+from gskin_addon.core.render.cpu import backend as cpu
 from gskin_addon.core.render.photometric import photometric_loss
 from gskin_addon.core.render.rasterizer import prepare
 from gskin_addon.core.rig.skeleton import Skeleton

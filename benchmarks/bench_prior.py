@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
-from gskin_addon.core.guidance.elastic import ElasticBody
 from gskin_addon.core.rig.lbs import skin_points
 from gskin_addon.core.skinning.extent import unit_frame
 from gskin_addon.core.skinning.geodesic import body_distances
+from gskin_addon.core.skinning.heat import BoneHeat
 from gskin_addon.core.skinning.initial import GEODESIC_SHARPNESS, falloff_weights
 from gskin_addon.core.skinning.learned.model_file import SHIPPED, models_without, read_card
 from gskin_addon.core.skinning.learned.predict import learned_weights
@@ -64,7 +64,7 @@ def baselines(name: str, splats: int, kept: Path) -> dict[str, float]:
         found = {
             "visibility": create_method("initial").make(Subject(asset, asset.skeleton, None)).weights,
             "geodesic": falloff_weights(unit, sharpness=GEODESIC_SHARPNESS),
-            "elastic": ElasticBody(asset.cloud, distances).weights(),
+            "elastic": BoneHeat(asset.cloud, distances).weights(),
         }
         found = {key: float(judge(weights).mean()) for key, weights in found.items()}
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -26,7 +26,7 @@ from benchmarks.bench_speed import iteration_cost, make_optimiser
 from benchmarks.figure import figure
 from benchmarks.jobs import Cost, run_job
 from benchmarks.markers import write_between
-from gskin_addon.core.render.threads import thread_count
+from gskin_addon.core.render.cpu.threads import thread_count
 from gskin_addon.core.skinning import optimise, pose_kernels, subset, views
 from gskin_addon.core.skinning.fields.base import WeightField
 

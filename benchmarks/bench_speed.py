@@ -32,18 +32,18 @@ from benchmarks.markers import write_between
 from gskin_addon.core.guidance.control import make_signals
 from gskin_addon.core.guidance.oracle import Oracle
 from gskin_addon.core.guidance.provider import GuidanceContext
+from gskin_addon.core.pipeline.run import to_unit_size
 from gskin_addon.core.render.backends import cuda_device
 from gskin_addon.core.render.camera import paper_views, percentile_bounds
-from gskin_addon.core.render.cpu import prepare
+from gskin_addon.core.render.cpu.backend import prepare
+from gskin_addon.core.render.cpu.threads import thread_count
 from gskin_addon.core.render.rasterizer import render_cloud
 from gskin_addon.core.render.reference import render as render_slowly
-from gskin_addon.core.render.threads import thread_count
 from gskin_addon.core.skinning.fields import create_field
 from gskin_addon.core.skinning.initial import initial_weights
 from gskin_addon.core.skinning.optimise import Optimiser, Target, look_schedule
 from gskin_addon.core.skinning.presets import Preset
 from gskin_addon.core.skinning.subset import choose_subset
-from gskin_addon.core.worker.pipeline import to_unit_size
 
 SPLATS, BONES, SIZE = 50_000, 20, 512
 BATCH, POSES = 4, 24

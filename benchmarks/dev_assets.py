@@ -22,6 +22,7 @@ from gskin_addon.core.guidance import create_provider
 from gskin_addon.core.guidance.control import make_signals
 from gskin_addon.core.guidance.oracle import Oracle
 from gskin_addon.core.guidance.provider import GuidanceContext
+from gskin_addon.core.pipeline.run import to_unit_size
 from gskin_addon.core.render.camera import evaluation_views, percentile_bounds
 from gskin_addon.core.render.rasterizer import render_cloud
 from gskin_addon.core.rig.lbs import skin_points, sparsify
@@ -34,7 +35,6 @@ from gskin_addon.core.skinning.optimise import Optimiser, Target
 from gskin_addon.core.skinning.presets import Preset
 from gskin_addon.core.skinning.subset import choose_subset
 from gskin_addon.core.splats.cloud import SplatCloud
-from gskin_addon.core.worker.pipeline import to_unit_size
 
 DEV = ("gxr_hand_r", "pm_low_poly_horse", "mh_008", "oc_Bat")
 GUIDANCE = ("oracle", "elastic")

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.assets import RiggedSplats
+from gskin_addon.core.job.contract import write_job
 from gskin_addon.core.worker import process
-from gskin_addon.core.worker.contract import write_job
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from gskin_addon.commands.console import quiet_stdout
+from gskin_addon.core.files import write_text
+from gskin_addon.core.job.contract import read_weights
 from gskin_addon.core.rig.lbs import sparsify
 from gskin_addon.core.splats.ply import read_ply, write_ply
-from gskin_addon.core.worker.contract import read_weights
-from gskin_addon.core.worker.files import write_text
 
 SPLATS = 40_000
 FRAMES = 48

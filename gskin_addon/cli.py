@@ -36,7 +36,7 @@ def execute(options: argparse.Namespace) -> int:
     """Run parsed options and turn whatever goes wrong into one sentence and an exit code."""
     from .commands.console import quiet_stdout, say
     from .core.errors import Cancelled, GSkinError, Stopped
-    from .core.worker.files import disk_error
+    from .core.files import disk_error
 
     previous = _interruptible()
     try:

@@ -5,17 +5,19 @@ from __future__ import annotations
 
 import bpy
 
-from .operators import anchor, auto_skin, bind, command_line, confidence, hygiene, import_splats
+from .operators import anchor, auto_skin, bind, check_python, cleanup, command_line, confidence, import_splats
 from .scene import handlers
-from .ui import guidance, panel, preferences, properties, splat_panels
+from .session import guidance_settings, properties
+from .ui import panel, preferences, splat_panels
 
 # Each has CLASSES, and register() and unregister() where there is more to do.
 MODULES = (
-    guidance,
+    guidance_settings,
     properties,
     preferences,
+    check_python,
     import_splats,
-    hygiene,
+    cleanup,
     bind,
     confidence,
     anchor,

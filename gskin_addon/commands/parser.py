@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from ..core.guidance import DEFAULT_GUIDANCE, GUIDANCE
+from ..core.job.settings import FRONTS, PRESET_FIELD
 from ..core.render.backends import AUTO, BACKENDS
 from ..core.skinning.fields import WEIGHT_FIELDS
 from ..core.skinning.initial import DEFAULT_INITIAL, INITIAL_WEIGHTS
 from ..core.skinning.presets import DEFAULT_PRESET, PRESETS
 from ..core.splats.axes import UP_AXES
-from ..core.worker.settings import FRONTS, PRESET_FIELD
 
 VERSION = "0.1.0"
 TRAINING_STEPS = 500

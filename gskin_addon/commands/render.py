@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import GSkinError, InputError
+from ..core.files import write_png
+from ..core.job.settings import FRONTS
 from ..core.splats.cloud import SH_C0, SplatCloud
 from ..core.splats.ply import write_ply
-from ..core.worker.files import write_png
 from ..core.worker.interpreter import find_worker_python, worker_environment
-from ..core.worker.settings import FRONTS
 from .console import say
 from .paths import check_output
 from .pose import open_posed

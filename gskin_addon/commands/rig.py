@@ -13,18 +13,20 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
 from ..core.guidance.options import PROVIDER_OPTIONS, check_models, with_absolute_folders
+from ..core.job.contract import Result, write_job, write_weights
+from ..core.job.mesh_files import read_mesh, write_mesh
+from ..core.job.progress import ProgressEvent
+from ..core.job.progress_text import ProgressPrinter
+from ..core.job.settings import JobSettings
 from ..core.rig.lbs import sparsify
 from ..core.splats.axes import rotate_cloud, up_rotation
+from ..core.splats.cleanup import clamp_aspect, find_faint_giants, find_strays, isotropic
 from ..core.splats.cloud import SplatCloud
-from ..core.splats.hygiene import clamp_aspect, find_faint_giants, find_strays, isotropic
 from ..core.splats.ply import read_ply
-from ..core.worker.client import ProgressEvent, WorkerClient
-from ..core.worker.contract import Result, write_job, write_weights
+from ..core.worker.client import WorkerClient
 from ..core.worker.interpreter import find_worker_python
-from ..core.worker.mesh_files import read_mesh, write_mesh
-from ..core.worker.settings import JobSettings
 from .blender import require_bpy
-from .console import ProgressPrinter, say
+from .console import say
 from .paths import check_output, same_file
 
 if TYPE_CHECKING:

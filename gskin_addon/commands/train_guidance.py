@@ -9,9 +9,9 @@ import importlib.util
 import time
 
 from ..core.errors import InputError, Stopped
-from ..core.worker.client import ProgressEvent
-from ..core.worker.progress import RemainingTime
-from .console import ProgressPrinter, say
+from ..core.job.progress import ProgressEvent, RemainingTime
+from ..core.job.progress_text import ProgressPrinter
+from .console import say
 from .rig import parse_options
 
 
@@ -49,7 +49,7 @@ class Reporter:
 
 
 def _pairs(options: argparse.Namespace, reporter: Reporter) -> None:
-    from ..core.training.make_pairs import PairSettings, make_pairs
+    from ..core.training.guidance.make_pairs import PairSettings, make_pairs
 
     settings = PairSettings(
         poses_per_view=options.poses,
@@ -70,7 +70,7 @@ def _pairs(options: argparse.Namespace, reporter: Reporter) -> None:
 
 
 def _tune(options: argparse.Namespace, reporter: Reporter) -> None:
-    from ..core.training.finetune import tune
+    from ..core.training.guidance.finetune import tune
 
     settings = {**parse_options(options.option, "--option"), "allow_download": options.allow_download}
     sentence = tune(options.pairs, options.out, settings, reporter)

@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..core.errors import InputError
-from ..core.worker.client import ProgressEvent
-from .console import ProgressPrinter, say
+from ..core.job.progress import ProgressEvent
+from ..core.job.progress_text import ProgressPrinter
+from .console import say
 from .paths import check_output
 
 if TYPE_CHECKING:
-    from ..core.skinning.learned.training import Syllabus, Trainer
+    from ..core.training.prior.train import Syllabus, Trainer
 
 _MODULES = ("torch", "numba", "scipy", "safetensors")
 _CHECKPOINT_SECONDS = 30.0
@@ -32,8 +33,8 @@ def run(options: argparse.Namespace) -> None:
         )
     import torch
 
-    from ..core.skinning.learned.curriculum import FOLDS, NEVER, collect, plan
     from ..core.training.catalogue import list_assets
+    from ..core.training.prior.sampling_plan import FOLDS, NEVER, collect, plan
 
     torch.set_num_threads(options.threads)
     assets = list_assets(options.assets, near_duplicates=True)
@@ -58,7 +59,7 @@ def run(options: argparse.Namespace) -> None:
 
 def _train(options: argparse.Namespace, syllabus: Syllabus, left: tuple[str, ...], clock: _Clock) -> None:
     from ..core.skinning.learned.model_file import ModelCard, save_model
-    from ..core.skinning.learned.training import Schedule, Trainer
+    from ..core.training.prior.train import Schedule, Trainer
 
     seeds = range(options.seed, options.seed + options.networks)
     trainers = [Trainer(syllabus, Schedule(steps=options.steps, seed=seed)) for seed in seeds]

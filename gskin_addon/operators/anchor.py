@@ -8,7 +8,7 @@ import bpy
 from ..core.errors import GSkinError
 from ..scene.anchored import anchor_to_mesh, proxy_of, release
 from ..scene.splat_object import is_splat_object
-from ..ui.properties import chosen_splats
+from ..session.chosen import chosen_splats
 
 
 class GSKIN_OT_anchor_to_mesh(bpy.types.Operator):

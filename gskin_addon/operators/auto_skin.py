@@ -3,15 +3,19 @@
 
 from __future__ import annotations
 
+import sys
+
 import bpy
 
 from ..core.errors import Cancelled, GSkinError
 from ..core.guidance.options import check_models
-from ..core.worker.settings import JobSettings
-from ..ui import progress
-from ..ui.preferences import worker_python
-from ..ui.properties import chosen_armature, chosen_splats, proxy_mesh
-from .skin_job import SkinJob
+from ..core.job.progress_text import ProgressPrinter
+from ..core.job.settings import JobSettings
+from ..session import running_job, status_bar
+from ..session.chosen import chosen_armature, chosen_splats, proxy_mesh
+from ..session.preferences import worker_python
+from ..session.readiness import what_is_missing
+from ..session.skin_job import SkinJob
 
 TICK = 0.1
 """Seconds between two looks at the worker."""
@@ -53,7 +57,7 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
             return {"PASS_THROUGH"}
         try:
             if self._job.step():
-                progress.show(context)
+                status_bar.show(context)
                 return {"PASS_THROUGH"}
             return self._finish(context)
         except GSkinError as error:
@@ -62,7 +66,7 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
             # Blender frees the operator without a word to it; the panel must not go on saying that it runs.
             self._job.cancel()
             self._leave(context)
-            progress.end("Auto-Skin stopped on a fault of its own; the system console says where", failed=True)
+            running_job.end("Auto-Skin stopped on a fault of its own; the system console says where", failed=True)
             raise
 
     def cancel(self, context: bpy.types.Context) -> None:
@@ -75,7 +79,7 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
         if not self._start(context):
             return {"CANCELLED"}
         try:
-            self._job.client.wait(progress.Printer(), interval=TICK)
+            self._job.client.wait(ProgressPrinter("lines", sys.stdout), interval=TICK)
             return self._finish(context)
         except GSkinError as error:
             return self._fail(context, error)
@@ -94,20 +98,20 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
         except GSkinError as error:
             self._fail(context, error)
             return False
-        progress.begin(self._job)
+        running_job.begin(self._job)
         return True
 
     def _finish(self, context: bpy.types.Context) -> set[str]:
         sentence = self._job.apply()
         self._leave(context)
-        progress.end(sentence)
+        running_job.end(sentence)
         self.report({"INFO"}, sentence)
         return {"FINISHED"}
 
     def _fail(self, context: bpy.types.Context, error: GSkinError) -> set[str]:
         self._leave(context)
         details = getattr(error, "traceback", "")
-        progress.end(str(error), failed=not isinstance(error, Cancelled), details=details)
+        running_job.end(str(error), failed=not isinstance(error, Cancelled), details=details)
         if isinstance(error, Cancelled):
             self.report({"WARNING"}, str(error))
         else:
@@ -120,7 +124,7 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
         if self._timer is not None:
             context.window_manager.event_timer_remove(self._timer)
             self._timer = None
-        progress.clear(context)
+        status_bar.clear(context)
 
 
 class GSKIN_OT_cancel_auto_skin(bpy.types.Operator):
@@ -132,32 +136,15 @@ class GSKIN_OT_cancel_auto_skin(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return progress.state.job is not None
+        return running_job.state.job is not None
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        progress.state.job.cancel()
+        running_job.state.job.cancel()
         return {"FINISHED"}
-
-
-def what_is_missing(context: bpy.types.Context) -> str:
-    """What a person must do before Auto-Skin can run, or nothing. Quick: menus ask on every redraw."""
-    if progress.state.job is not None:
-        return "Auto-Skin is running: wait for it or cancel it"
-    splats = chosen_splats(context)
-    if splats is None:
-        return "No splats are chosen: import a Gaussian splat .ply, or select a splat object"
-    armature = chosen_armature(context)
-    if armature is None:
-        return "No armature is chosen: add one, or select it"
-    if not any(bone.use_deform for bone in armature.data.bones):
-        return f"Armature '{armature.name}' has no deform bones: turn on Deform for some"
-    if splats.mode == "EDIT" or armature.mode == "EDIT":
-        return "An object is in Edit Mode: leave it (Tab)"
-    return worker_python(context)[1]
 
 
 CLASSES = (GSKIN_OT_auto_skin, GSKIN_OT_cancel_auto_skin)
 
 
 def unregister() -> None:
-    progress.stop()
+    running_job.stop()

@@ -9,10 +9,10 @@ import bpy
 from bpy_extras.io_utils import ImportHelper
 
 from ..core.errors import GSkinError
-from ..core.worker.contract import read_weights as read_weights_file
+from ..core.job.contract import read_weights as read_weights_file
 from ..scene.bone_frames import armature_of
 from ..scene.weights import bind, update_rotation_weights, write_weights
-from ..ui.properties import chosen_armature, chosen_splats
+from ..session.chosen import chosen_armature, chosen_splats
 
 
 class GSKIN_OT_load_weights(bpy.types.Operator, ImportHelper):

@@ -8,8 +8,8 @@ import bpy
 from ..core.errors import GSkinError
 from ..scene import names
 from ..scene.attributes import read_attribute
-from ..scene.hygiene import begin_selecting, show_selected
-from ..ui.properties import chosen_splats
+from ..scene.cleanup import begin_selecting, show_selected
+from ..session.chosen import chosen_splats
 
 
 class GSKIN_OT_select_unsure_splats(bpy.types.Operator):

@@ -11,7 +11,7 @@ from typing import Any
 import bpy
 
 from ..core.errors import GSkinError, InputError
-from ..core.worker.files import disk_error
+from ..core.files import disk_error
 from .bone_frames import is_bone_frames
 from .splat_object import is_splat_object
 

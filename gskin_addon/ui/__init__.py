@@ -1,4 +1,4 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Panel, preferences, properties, and the drawing of progress."""
+"""Panels and drawing; they name operators by their id."""
 
 from __future__ import annotations

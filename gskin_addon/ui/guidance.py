@@ -1,197 +1,48 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The settings of the guidance models that the user brings: properties, how they are drawn, and the consent.
-
-The consent to fetch a model holds for this session of Blender and is stored nowhere, so that no opened file can
-bring it along.
-"""
+"""How the settings of a guidance model are drawn."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import bpy
 
 from ..core.guidance.model_files import is_hub_id
-from ..core.guidance.options import PROVIDER_OPTIONS, DiffusionOptions, FluxOptions, LightningDragOptions
-
-_consent = False
-
-_OFFLOAD_TIPS = {
-    "auto": "As the GPU's memory allows",
-    "none": "All weights stay on the GPU; fastest",
-    "model": "One model at a time is on the GPU",
-    "sequential": "One layer at a time is on the GPU; slow, for small cards",
-}
+from ..core.guidance.options import PROVIDER_OPTIONS
+from ..session import guidance_settings
 
 
-def _is_agreed(owner: bpy.types.PropertyGroup) -> bool:
-    return _consent
+def draw(layout: bpy.types.UILayout, models: bpy.types.PropertyGroup, guidance: str) -> None:
+    """The settings of `guidance` and, where a model may have to be fetched, the consent."""
+    if guidance not in PROVIDER_OPTIONS:
+        return
+    chosen = getattr(models, guidance)
+    box = layout.box()
+    _DRAW[guidance](chosen, box)
+    named = PROVIDER_OPTIONS[guidance].parse(chosen.as_options(), guidance).models_named()
+    if any(is_hub_id(name) for name in named.values()):
+        if guidance_settings.online():
+            box.prop(models, "allow_download")
+        else:
+            box.label(text="Online access is off in the preferences", icon="INTERNET_OFFLINE")
 
 
-def _agree(owner: bpy.types.PropertyGroup, value: bool) -> None:
-    global _consent
-    _consent = value
+def _draw_flux_repair(settings: bpy.types.PropertyGroup, layout: bpy.types.UILayout) -> None:
+    """Add the settings to `layout`."""
+    layout.prop(settings, "model", icon="FILE_FOLDER")
+    for name in ("subject", "prompt", "strength", "steps", "offload"):
+        layout.prop(settings, name)
 
 
-def _online() -> bool:
-    return bpy.app.online_access
+def _draw_lightning_drag(settings: bpy.types.PropertyGroup, layout: bpy.types.UILayout) -> None:
+    """Add the settings to `layout`."""
+    layout.prop(settings, "models")
+    header, body = layout.panel("gskin_lightning_drag_models", default_closed=True)
+    header.label(text="Models Elsewhere")
+    if body is not None:
+        for name in ("base", "vae", "ip_adapter", "lightning_drag", "lcm_lora"):
+            if name != "lcm_lora" or settings.scheduler == "lcm":
+                body.prop(settings, name)
+    for name in ("scheduler", "steps", "offload"):
+        layout.prop(settings, name)
 
 
-def _steps() -> Any:
-    return bpy.props.IntProperty(
-        name="Steps", description="Denoising steps per image; 0: as many as the model wants", default=0, min=0, max=1000
-    )
-
-
-def _offload(options: type[DiffusionOptions]) -> Any:
-    choices = options.__dataclass_fields__["offload"].metadata["choices"]
-    return bpy.props.EnumProperty(
-        name="Off-load",
-        description="What leaves the GPU's memory while it is not needed",
-        items=[(name, name.capitalize(), _OFFLOAD_TIPS[name]) for name in choices],
-        default="auto",
-    )
-
-
-def _model(name: str, description: str) -> Any:
-    return _folder(name, f"{description}: a folder, or a hub id such as owner/name")
-
-
-def _folder(name: str, description: str) -> Any:
-    # From 5.0 on Blender wants to be told that // is understood; before, it does not know the word.
-    options = {"ANIMATABLE", "PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (5, 0, 0) else {"ANIMATABLE"}
-    return bpy.props.StringProperty(name=name, description=description, subtype="DIR_PATH", options=options)
-
-
-def _path(text: str) -> str:
-    """A folder's path, or a hub id, as the worker is to read it: the file browser adds slashes, // is the file's."""
-    text = text.strip()
-    return (bpy.path.abspath(text) if text.startswith("//") else text).rstrip("/\\")
-
-
-class _Options:
-    """Properties with the names of a provider's options."""
-
-    def as_options(self) -> dict[str, Any]:
-        """Those that differ from the provider's defaults, as a job's options."""
-        defaults = PROVIDER_OPTIONS[self.guidance]()
-        options = {}
-        for name in type(self).__annotations__:
-            value, default = getattr(self, name), getattr(defaults, name)
-            if self.bl_rna.properties[name].subtype == "DIR_PATH":
-                value = _path(value)
-            if isinstance(value, float):
-                value = round(value, 5)  # a property is a 32-bit number: 0.6 reads 0.60000002
-            if value != default:
-                options[name] = value
-        return options
-
-
-class GSkinFluxRepair(_Options, bpy.types.PropertyGroup):
-    guidance = "flux_repair"
-
-    model: _model("Model", "FLUX.2 [klein] in the diffusers layout (black-forest-labs/FLUX.2-klein-4B: Apache-2.0)")
-    subject: bpy.props.StringProperty(
-        name="Subject",
-        description="What the splats show, in a word or two, for the prompt",
-        default=FluxOptions.subject,
-    )
-    prompt: bpy.props.StringProperty(
-        name="Prompt",
-        description="What the repair is told; {subject} stands for the subject",
-        default=FluxOptions.prompt,
-    )
-    strength: bpy.props.FloatProperty(
-        name="Strength",
-        description="How freely it repaints the posed picture inside the mask",
-        default=FluxOptions.strength,
-        min=0.01,
-        max=1.0,
-        subtype="FACTOR",
-    )
-    steps: _steps()
-    offload: _offload(FluxOptions)
-
-    def draw(self, layout: bpy.types.UILayout) -> None:
-        """Add the settings to `layout`."""
-        layout.prop(self, "model", icon="FILE_FOLDER")
-        for name in ("subject", "prompt", "strength", "steps", "offload"):
-            layout.prop(self, name)
-
-
-class GSkinLightningDrag(_Options, bpy.types.PropertyGroup):
-    guidance = "lightning_drag"
-
-    models: _folder("Models", "A folder with one folder per model: base, vae, ip_adapter, lightning_drag, lcm_lora")
-    base: _model("Base", "Inpainting model of the family of Stable Diffusion 1.5")
-    vae: _model("VAE", "VAE of Stable Diffusion 1.5")
-    ip_adapter: _model("IP-Adapter", "IP-Adapter with its image encoder")
-    lightning_drag: _model("LightningDrag", "LightningDrag, as published or fine-tuned")
-    lcm_lora: _model("LCM-LoRA", "LCM-LoRA, for the scheduler LCM")
-    scheduler: bpy.props.EnumProperty(
-        name="Scheduler",
-        description="How the images are denoised",
-        items=[
-            ("lcm", "LCM", "Few steps, with the LCM-LoRA"),
-            ("ddim", "DDIM", "More steps, without the LCM-LoRA"),
-        ],
-        default=LightningDragOptions.scheduler,
-    )
-    steps: _steps()
-    offload: _offload(LightningDragOptions)
-
-    def draw(self, layout: bpy.types.UILayout) -> None:
-        """Add the settings to `layout`."""
-        layout.prop(self, "models")
-        header, body = layout.panel("gskin_lightning_drag_models", default_closed=True)
-        header.label(text="Models Elsewhere")
-        if body is not None:
-            for name in ("base", "vae", "ip_adapter", "lightning_drag", "lcm_lora"):
-                if name != "lcm_lora" or self.scheduler == "lcm":
-                    body.prop(self, name)
-        for name in ("scheduler", "steps", "offload"):
-            layout.prop(self, name)
-
-
-class GSkinGuidance(bpy.types.PropertyGroup):
-    """`scene.gskin.models`."""
-
-    flux_repair: bpy.props.PointerProperty(type=GSkinFluxRepair)
-    lightning_drag: bpy.props.PointerProperty(type=GSkinLightningDrag)
-    allow_download: bpy.props.BoolProperty(
-        name="Fetch Missing Models",
-        description="Download a model named by its hub id, under its own licence, where it is not on this computer. "
-        "Several gigabytes. Holds until Blender closes",
-        get=_is_agreed,
-        set=_agree,
-    )
-
-    def as_options(self, guidance: str) -> dict[str, Any]:
-        """The job's options of a guidance; empty for those that need no model."""
-        if guidance not in PROVIDER_OPTIONS:
-            return {}
-        options = getattr(self, guidance).as_options()
-        if self.allow_download and _online():
-            options["allow_download"] = True
-        return options
-
-    def draw(self, layout: bpy.types.UILayout, guidance: str) -> None:
-        """The settings of `guidance` and, where a model may have to be fetched, the consent."""
-        if guidance not in PROVIDER_OPTIONS:
-            return
-        chosen = getattr(self, guidance)
-        box = layout.box()
-        chosen.draw(box)
-        named = PROVIDER_OPTIONS[guidance].parse(chosen.as_options(), guidance).models_named()
-        if any(is_hub_id(name) for name in named.values()):
-            if _online():
-                box.prop(self, "allow_download")
-            else:
-                box.label(text="Online access is off in the preferences", icon="INTERNET_OFFLINE")
-
-
-CLASSES = (GSkinFluxRepair, GSkinLightningDrag, GSkinGuidance)
-
-
-def unregister() -> None:
-    _agree(None, False)
+_DRAW = {"flux_repair": _draw_flux_repair, "lightning_drag": _draw_lightning_drag}

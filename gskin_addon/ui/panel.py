@@ -6,9 +6,10 @@ from __future__ import annotations
 import bpy
 
 from ..core.guidance import NO_GUIDANCE
-from ..operators.auto_skin import GSKIN_OT_auto_skin, what_is_missing
-from . import progress
-from .properties import chosen_armature, chosen_splats
+from ..session.chosen import chosen_armature, chosen_splats
+from ..session.readiness import what_is_missing
+from ..session.running_job import state
+from . import guidance, progress
 
 
 class GSKIN_PT_main(bpy.types.Panel):
@@ -26,7 +27,7 @@ class GSKIN_PT_main(bpy.types.Panel):
         column = layout.column()
         column.use_property_split = True
         column.use_property_decorate = False
-        column.enabled = progress.state.job is None
+        column.enabled = state.job is None
         column.prop(settings, "splats", icon="OUTLINER_OB_POINTCLOUD")
         column.prop(settings, "armature", icon="OUTLINER_OB_ARMATURE")
         column.prop(settings, "proxy", icon="OUTLINER_OB_MESH")
@@ -35,7 +36,7 @@ class GSKIN_PT_main(bpy.types.Panel):
         column.separator()
         column.prop(settings, "init")
         column.prop(settings, "guidance")
-        settings.models.draw(column, settings.guidance)
+        guidance.draw(column, settings.models, settings.guidance)
         # What has no effect is not shown.
         if settings.guidance != NO_GUIDANCE:
             column.prop(settings, "preset")
@@ -44,10 +45,10 @@ class GSKIN_PT_main(bpy.types.Panel):
             column.prop(settings, "front")
         column.prop(settings, "max_influences")
 
-        if progress.state.job is None:
+        if state.job is None:
             row = layout.row()
             row.scale_y = 1.4
-            row.operator(GSKIN_OT_auto_skin.bl_idname, icon="MOD_ARMATURE")
+            row.operator("gskin.auto_skin", icon="MOD_ARMATURE")
             problem = what_is_missing(context)
             if problem:
                 self._draw_wrapped(context, layout, problem)

@@ -10,7 +10,7 @@ from ..scene.bone_frames import armature_of
 from ..scene.display_colors import SHOW_CONFIDENCE, SHOW_WEIGHTS_OF
 from ..scene.node_builder import has_input, input_property
 from ..scene.node_groups import DISPLAY_INPUTS, find_display
-from .properties import chosen_splats
+from ..session.chosen import chosen_splats
 
 
 class _Child:

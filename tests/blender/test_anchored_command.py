@@ -15,9 +15,9 @@ from rig_scenes import posed_in_blender
 
 from gskin_addon import cli
 from gskin_addon.commands import rig as rig_command
+from gskin_addon.core.job.contract import Result, read_job, read_weights
+from gskin_addon.core.job.mesh_files import read_mesh
 from gskin_addon.core.splats.ply import read_ply, write_ply
-from gskin_addon.core.worker.contract import Result, read_job, read_weights
-from gskin_addon.core.worker.mesh_files import read_mesh
 from gskin_addon.scene.anchored import proxy_of
 from gskin_addon.scene.posing import posed_cloud
 from gskin_addon.scene.splat_object import is_splat_object

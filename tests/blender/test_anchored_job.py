@@ -15,13 +15,13 @@ bpy = pytest.importorskip("bpy")
 import pretend
 
 from gskin_addon.core.errors import InputError
-from gskin_addon.core.worker.contract import read_job
-from gskin_addon.core.worker.mesh_files import read_mesh
-from gskin_addon.operators.skin_job import SkinJob
+from gskin_addon.core.job.contract import read_job
+from gskin_addon.core.job.mesh_files import read_mesh
 from gskin_addon.scene.anchored import proxy_of
 from gskin_addon.scene.bone_frames import armature_of
 from gskin_addon.scene.splat_object import create_splat_object
 from gskin_addon.scene.weights import read_weights
+from gskin_addon.session.skin_job import SkinJob
 
 
 @pytest.fixture

@@ -22,16 +22,17 @@ from mathutils import Matrix
 from pretend import add_armature
 
 import gskin_addon
+from gskin_addon.core import files
 from gskin_addon.core.errors import Cancelled, InputError
-from gskin_addon.core.worker import files
+from gskin_addon.core.job.contract import read_job
+from gskin_addon.core.job.lock import job_lock
+from gskin_addon.core.job.progress_text import time_left
 from gskin_addon.core.worker.client import WorkerClient, WorkerError
-from gskin_addon.core.worker.contract import read_job
-from gskin_addon.core.worker.lock import job_lock
-from gskin_addon.operators import auto_skin, skin_job
+from gskin_addon.operators import auto_skin
 from gskin_addon.operators.auto_skin import GSKIN_OT_auto_skin, what_is_missing
 from gskin_addon.scene.splat_object import create_splat_object
 from gskin_addon.scene.weights import read_weights
-from gskin_addon.ui import preferences, progress
+from gskin_addon.session import preferences, running_job, skin_job
 
 
 @pytest.fixture
@@ -55,7 +56,7 @@ def choose(splats, armature, **settings) -> None:
 def start(splats, armature, **settings) -> skin_job.SkinJob:
     values = {**bpy.context.scene.gskin.as_job(), **settings}
     job = skin_job.SkinJob.start(splats, armature, values, Path(sys.executable))
-    progress.begin(job)
+    running_job.begin(job)
     return job
 
 
@@ -172,7 +173,7 @@ def test_operator_writes_the_weights(scene, capfd):
     assert bones == ["lower", "upper"]
     np.testing.assert_allclose(weights[:, 0], 1.0)
     assert splats.find_armature() == armature
-    assert "200 splats follow 2 bones" in progress.state.outcome
+    assert "200 splats follow 2 bones" in running_job.state.outcome
     assert "half" in capfd.readouterr().out
     assert not list(skin_job.jobs_folder().iterdir()), "a finished job is cleared away"
 
@@ -270,9 +271,9 @@ def test_a_failure_brings_its_traceback(scene, monkeypatch, capfd):
     choose(splats, add_armature())
     with pytest.raises(RuntimeError, match="the middle of the matter"):
         bpy.ops.gskin.auto_skin()
-    assert "fake_worker.py" in progress.state.details
+    assert "fake_worker.py" in running_job.state.details
     assert "fake_worker.py" in capfd.readouterr().out
-    assert progress.state.failed
+    assert running_job.state.failed
     assert untouched(splats)
 
 
@@ -286,7 +287,7 @@ def test_a_worker_killed_in_the_middle_goes_on(scene, monkeypatch):
     with pytest.raises(WorkerError, match="memory"):
         job.apply()
     assert untouched(splats)
-    progress.end("")
+    running_job.end("")
     choose(splats, armature)
     assert bpy.ops.gskin.auto_skin() == {"FINISHED"}
     assert splats.find_armature() == armature
@@ -335,7 +336,7 @@ def start_fails(words: str, splats, armature) -> None:
     choose(splats, armature)
     with pytest.raises(RuntimeError, match=words):
         bpy.ops.gskin.auto_skin()
-    assert progress.state.job is None
+    assert running_job.state.job is None
     assert untouched(splats)
 
 
@@ -444,7 +445,7 @@ def test_modal_runs_to_the_end_without_blocking(scene):
     assert longest < 0.1
     assert operator.reports[-1][0] == "INFO"
     assert splats.find_armature() == armature
-    assert progress.state.job is None
+    assert running_job.state.job is None
 
 
 def test_escape_cancels(scene, monkeypatch):
@@ -467,13 +468,13 @@ def test_escape_cancels(scene, monkeypatch):
 def test_another_file_or_disabling_the_addon_stops_the_worker(scene, monkeypatch):
     monkeypatch.setenv("GSKIN_TEST_ACT", "talk")
     choose(add_rod(), add_armature())
-    for leave in (lambda operator: operator.cancel(bpy.context), lambda _: progress.stop()):
+    for leave in (lambda operator: operator.cancel(bpy.context), lambda _: running_job.stop()):
         operator = Operator()
         assert operator._start(bpy.context)
         job = operator._job
         wait_for(job, "talk")
         leave(operator)
-        assert progress.state.job is None
+        assert running_job.state.job is None
         until = time.monotonic() + 1.2
         while job.client.state == "running" and time.monotonic() < until:
             job.client.poll()
@@ -482,9 +483,9 @@ def test_another_file_or_disabling_the_addon_stops_the_worker(scene, monkeypatch
 
 
 def test_what_is_said_of_time():
-    assert progress.time_left(None) == "estimating time"
-    assert progress.time_left(65.2) == "1:05 left"
-    assert progress.time_left(3900) == "1 h 05 min left"
+    assert time_left(None) == "estimating time"
+    assert time_left(65.2) == "1:05 left"
+    assert time_left(3900) == "1 h 05 min left"
 
 
 def test_the_real_worker_end_to_end(scene, monkeypatch):

@@ -21,10 +21,10 @@ from PIL import Image
 
 from gskin_addon import cli
 from gskin_addon.commands import rig as rig_command
+from gskin_addon.core.job.contract import read_weights
 from gskin_addon.core.rig.quaternion import axis_angle_to_matrix
 from gskin_addon.core.splats.ply import read_ply, write_ply
 from gskin_addon.core.worker.client import WorkerClient
-from gskin_addon.core.worker.contract import read_weights
 from gskin_addon.scene.bone_frames import armature_of
 from gskin_addon.scene.splat_object import is_splat_object
 

@@ -13,12 +13,11 @@ import pretend
 import worker_jobs as jobs
 
 import gskin_addon
-from gskin_addon.core.worker.contract import read_job
-from gskin_addon.core.worker.settings import JobSettings
-from gskin_addon.operators import skin_job
+from gskin_addon.core.job.contract import read_job
+from gskin_addon.core.job.settings import JobSettings
 from gskin_addon.operators.auto_skin import GSKIN_OT_auto_skin
 from gskin_addon.scene.splat_object import create_splat_object
-from gskin_addon.ui import guidance, progress
+from gskin_addon.session import guidance_settings, running_job, skin_job
 
 
 @pytest.fixture
@@ -35,7 +34,7 @@ def online(monkeypatch):
     """Blender with online access, or without."""
 
     def switch(on: bool) -> None:
-        monkeypatch.setattr(guidance, "_online", lambda: on)
+        monkeypatch.setattr(guidance_settings, "online", lambda: on)
 
     return switch
 
@@ -144,7 +143,7 @@ def test_the_panel_shows_the_chosen_guidances_settings(scene, online):
 
 
 def test_online_access_is_blenders(scene):
-    assert guidance._online() == bpy.app.online_access
+    assert guidance_settings.online() == bpy.app.online_access
 
 
 @pytest.mark.parametrize(
@@ -156,7 +155,7 @@ def test_what_is_wrong_is_reported_before_a_worker_starts(scene, model, words, m
     scene.gskin.models.flux_repair.model = model
     with pytest.raises(RuntimeError, match=words):
         bpy.ops.gskin.auto_skin()
-    assert progress.state.failed
+    assert running_job.state.failed
 
 
 def test_the_worker_gets_the_options(scene, tmp_path, monkeypatch):

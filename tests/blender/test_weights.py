@@ -20,7 +20,13 @@ from gskin_addon.scene.bone_frames import is_bone_frames
 from gskin_addon.scene.node_groups import set_display
 from gskin_addon.scene.rotation_nodes import frames_of
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud
-from gskin_addon.scene.weights import bind, read_weights, repair_frames, update_rotation_weights, write_weights
+from gskin_addon.scene.weights import (
+    bind,
+    read_weights,
+    repair_frames,
+    update_rotation_weights,
+    write_weights,
+)
 
 COUNT, BONES = 500, 7
 

@@ -19,11 +19,11 @@ from PIL import Image
 import gskin_addon
 from gskin_addon import cli
 from gskin_addon.commands import parser, render, rig
-from gskin_addon.commands.console import ProgressPrinter, describe
 from gskin_addon.commands.pose import parse_turns
 from gskin_addon.core.errors import Cancelled, GSkinError, InputError, Stopped
+from gskin_addon.core.job.progress import ProgressEvent
+from gskin_addon.core.job.progress_text import ProgressPrinter, describe
 from gskin_addon.core.splats.ply import write_ply
-from gskin_addon.core.worker.client import ProgressEvent
 
 PROGRAM = Path(gskin_addon.__file__).with_name("cli.py")
 

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from gskin_addon.core.worker import compute, supervisor
-from gskin_addon.core.worker.mesh_files import read_mesh
+from gskin_addon.core.job.mesh_files import read_mesh
+from gskin_addon.core.worker import job_runner, supervisor
 
 
 def act(cloud: Any, skeleton: Any, settings: dict[str, Any], progress: Any, checkpoint: Path) -> Any:
@@ -70,7 +70,7 @@ def act(cloud: Any, skeleton: Any, settings: dict[str, Any], progress: Any, chec
 
 def main() -> int:
     if sys.argv[1] == "--compute":
-        return compute.main(sys.argv[2], act)
+        return job_runner.main(sys.argv[2], act)
     return supervisor.supervise([sys.executable, "-u", __file__, "--compute", sys.argv[1]])
 
 

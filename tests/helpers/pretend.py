@@ -15,8 +15,7 @@ import worker_jobs as jobs
 
 import gskin_addon
 from gskin_addon.core.worker.client import WorkerClient
-from gskin_addon.operators import skin_job
-from gskin_addon.ui import preferences, progress
+from gskin_addon.session import preferences, running_job, skin_job
 
 CHAIN = (("lower", (0, 0, 0), (0, 0, 1)), ("upper", (0, 0, 1), (0, 0, 2)))
 
@@ -35,7 +34,7 @@ def session(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[bpy.types
     try:
         yield bpy.context.scene
     finally:
-        progress.stop()
+        running_job.stop()
         gskin_addon.unregister()
 
 

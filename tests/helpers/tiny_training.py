@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import torch
 
+from gskin_addon.core.files import write_json
 from gskin_addon.core.guidance.control import make_signals
 from gskin_addon.core.guidance.mask import dynamic_mask
 from gskin_addon.core.guidance.provider import to_bytes
 from gskin_addon.core.render.camera import paper_views
 from gskin_addon.core.render.rasterizer import render_cloud
 from gskin_addon.core.rig.lbs import skin_cloud
-from gskin_addon.core.training.pairs import MANIFEST, SHARDS, VERSION, encode_image
-from gskin_addon.core.worker.files import write_json
+from gskin_addon.core.training.guidance.pairs import MANIFEST, SHARDS, VERSION, encode_image
 from tests.helpers.limb import make_limb
 from tests.helpers.tiny_lightning import tiny_unet, write_models
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from gskin_addon.core.job.contract import write_job
 from gskin_addon.core.rig.skeleton import Skeleton
 from gskin_addon.core.splats.cloud import SplatCloud
-from gskin_addon.core.worker.contract import write_job
 
 FAKE = Path(__file__).with_name("fake_worker.py")
 

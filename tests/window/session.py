@@ -124,7 +124,7 @@ def change_of_mind(stage: Stage, hands: Hands, view: View) -> Story:
     for way in ("button", "escape"):
         yield from hands.click(*button)
         yield running
-        job = part("ui.progress").state.job
+        job = part("session.running_job").state.job
         process = job.client._process
         yield lambda job=job: job.progress.fraction > 0.02 or not running()
         stage.check(f"the job runs ({way})", running())
@@ -166,7 +166,7 @@ def auto_skin(stage: Stage, hands: Hands, view: View) -> Story:
     yield from hands.click(*button)
     yield running
     stage.chapter = "job"
-    job = part("ui.progress").state.job
+    job = part("session.running_job").state.job
     yield from hands.move(*view.middle())
     seen: list[float] = []
     for share in SHOTS:
@@ -201,7 +201,7 @@ def auto_skin(stage: Stage, hands: Hands, view: View) -> Story:
     stage.check(f"the window never froze for {FROZEN} s while the job ran", longest <= FROZEN or busy, seen)
     stage.check("the side bar is drawn quickly", max(panel, default=9.0) < 0.05, f"{max(panel):.4f} s")
     stage.check("the 3D view is not drawn again for the bar", stage.redraws["job"] < 5, stage.redraws["job"])
-    outcome = part("ui.progress").state
+    outcome = part("session.running_job").state
     stage.check("the job ended well", not outcome.failed and "follow" in outcome.outcome, outcome.outcome)
     splats, rig = find_splats(), find_rig()
     stage.check("every bone has a vertex group", len(splats.vertex_groups) >= 20, len(splats.vertex_groups))
@@ -307,7 +307,7 @@ def leave_in_the_middle(stage: Stage, view: View) -> Story:
     with view.override():
         bpy.ops.gskin.auto_skin("INVOKE_DEFAULT")
     yield running
-    process = part("ui.progress").state.job.client._process
+    process = part("session.running_job").state.job.client._process
     yield 1.0
     asked = time.monotonic()
     bpy.ops.wm.open_mainfile(filepath=bpy.data.filepath)
@@ -365,7 +365,7 @@ def timed(method: str, cls: Any) -> list[float]:
 
 
 def running() -> bool:
-    return part("ui.progress").state.job is not None
+    return part("session.running_job").state.job is not None
 
 
 def ended(job: Any) -> bool:

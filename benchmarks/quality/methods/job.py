@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from gskin_addon.core.guidance import GUIDANCE
+from gskin_addon.core.job.settings import JobSettings
 from gskin_addon.core.skinning.initial import INITIAL_WEIGHTS
 from gskin_addon.core.skinning.presets import PRESETS
-from gskin_addon.core.worker.settings import JobSettings
 
 from .base import Made, Method, Subject, Unavailable
 from .learned import unseen_model
@@ -49,7 +49,7 @@ def create(name: str) -> Method:
     learned = settings.get("init", JobSettings().init) == "learned"
 
     def make(subject: Subject) -> Made:
-        from gskin_addon.core.worker.pipeline import run
+        from gskin_addon.core.pipeline.run import run
 
         chosen, note = dict(settings), ""
         if learned:

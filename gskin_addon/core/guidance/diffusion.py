@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import GSkinError, InputError
+from ..files import write_png
 from ..render.rasterizer import render_cloud
 from ..rig.lbs import skin_cloud
-from ..worker.files import write_png
 from .control import ControlSignal
 from .mask import dynamic_mask
 from .provider import GuidanceContext, to_bytes

@@ -19,7 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from .diffusion import DiffusionGuidance, Frame, Tick, choose_offload, compute_device, device_memory, generator
+from .diffusion import (
+    DiffusionGuidance,
+    Frame,
+    Tick,
+    choose_offload,
+    compute_device,
+    device_memory,
+    generator,
+)
 from .model_files import ModelFiles, find_model, first_line, require, stamp
 from .options import FluxOptions
 from .provider import GuidanceContext

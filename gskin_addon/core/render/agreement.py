@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from . import cpu
 from .camera import look_at
+from .cpu import backend as cpu
 from .photometric import photometric_loss
 
 

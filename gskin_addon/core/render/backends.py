@@ -68,8 +68,8 @@ def _lacks_gsplat() -> str:
 
 
 BACKENDS = {
-    "cpu": Backend(".cpu", lambda: ""),
-    "warp": Backend(".warp_backend", _lacks_warp),
+    "cpu": Backend(".cpu.backend", lambda: ""),
+    "warp": Backend(".warp.backend", _lacks_warp),
     "gsplat": Backend(".gsplat_backend", _lacks_gsplat),
 }
 

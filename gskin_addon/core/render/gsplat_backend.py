@@ -18,10 +18,10 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
-from . import cpu
 from .batches import in_batches
 from .camera import Camera
-from .cpu import DILATION, Array, ImageLoss, check_scene, check_splats
+from .cpu import backend as cpu
+from .cpu.backend import DILATION, Array, ImageLoss, check_scene, check_splats
 from .photometric import PhotometricLoss
 from .reference import image_axes
 from .torch_loss import photometric_losses

@@ -16,8 +16,8 @@ from numba import float32, njit
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
+from .cpu.vec8 import broadcast, fma, load, store
 from .image_metrics import C1, C2, WINDOW, gaussian_window
-from .vec8 import broadcast, fma, load, store
 
 Array = NDArray[np.float32]
 Box = tuple[int, int, int, int]

@@ -9,8 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ..render.threads import row_ranges, spread
-from ..rig.rotations import closest_rotation
+from ..render.cpu.threads import row_ranges, spread
+from .rotations import closest_rotation
 
 
 @njit(cache=True, nogil=True)

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from ..render.backends import AUTO, resolve_backend
 from ..rig.skeleton import Skeleton
 from ..splats.cloud import SplatCloud
-from .anchor import Anchor
 from .arap import arap_loss
 from .coupling import coupling_loss, prepare_coupling
+from .device_renderer import DeviceRenderer, tensor_device
 from .fields.base import WeightField
 from .losses import LossWeights
-from .on_device import DeviceRenderer, tensor_device
 from .posers import Poser, SplatPoser
 from .presets import Preset
+from .prior_loss import Anchor
 from .stopping import EarlyStop
 from .views import GuidanceViews, Target
 
@@ -85,9 +85,9 @@ class Optimiser:
         self._rate = preset.learning_rate * field.rate
         self._adam = torch.optim.Adam(field.parameters(), lr=self._rate, betas=(0.9, 0.99))
         self._poser: Poser = poser or SplatPoser(cloud, losses.arap_neighbours)
-        self._on_device = self._device_renderer(cloud, background)
+        self._device_renderer = self._make_device_renderer(cloud, background)
         # A GPU gains less from fewer splats than it loses by looking.
-        prune = prune and cloud.count >= PRUNE_FROM and self._on_device is None
+        prune = prune and cloud.count >= PRUNE_FROM and self._device_renderer is None
         self.looks: frozenset[int] = look_schedule(preset, len(targets)) if prune else frozenset()
         nodes, self._neighbours = self._poser.nodes, self._poser.neighbours
         self._nodes = nodes
@@ -198,8 +198,8 @@ class Optimiser:
         """The gradient of the loss on the targets `batch`, into the field; returns the parts of the loss."""
         transforms = np.stack([self.targets[i].transforms for i in batch])
         weights = self.field()
-        if self._on_device is not None:
-            render, nodes = self._on_device(weights, transforms, self._views.by_scene(batch, size))
+        if self._device_renderer is not None:
+            render, nodes = self._device_renderer(weights, transforms, self._views.by_scene(batch, size))
         else:
             posed = self._poser.pose(weights, transforms)
             nodes = posed.nodes
@@ -219,7 +219,7 @@ class Optimiser:
         loss.backward()  # type: ignore[no-untyped-call]
         return {name: float(part.detach()) for name, part in parts.items()}
 
-    def _device_renderer(
+    def _make_device_renderer(
         self, cloud: SplatCloud, background: tuple[float, float, float]
     ) -> DeviceRenderer | None:
         """For vanilla splats and a rasteriser that takes torch tensors."""

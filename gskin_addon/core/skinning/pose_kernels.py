@@ -14,8 +14,8 @@ import torch
 from numba import float32, njit
 from numpy.typing import NDArray
 
-from ..render.threads import row_ranges, spread
-from ..render.vec8 import broadcast, fma, load, store
+from ..render.cpu.threads import row_ranges, spread
+from ..render.cpu.vec8 import broadcast, fma, load, store
 from ..rig.lbs import nearest_rotation
 from ..rig.quaternion import matrix_to_quat
 

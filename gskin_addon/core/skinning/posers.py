@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ..render.threads import thread_count
+from ..render.cpu.threads import thread_count
 from ..rig.anchoring import Anchors
 from ..rig.vertex_maps import mesh_neighbours, ring_coefficients
 from ..splats.cloud import SplatCloud

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..render.cpu import morton_order
+from ..render.cpu.backend import morton_order
 from ..splats.cloud import SplatCloud
 from .fields.base import LOG_FLOOR
 

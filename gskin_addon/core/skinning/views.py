@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from ..render.backends import AUTO
 from ..render.camera import Camera
-from ..render.cpu import DILATION, CpuScene, render_and_grad_each
+from ..render.cpu.backend import DILATION, CpuScene, render_and_grad_each
 from ..render.photometric import PhotometricLoss, content_box, photometric_loss
 from ..render.rasterizer import Scene, prepare, view_colors
 from ..splats.cloud import SplatCloud
-from .on_device import Views
+from .device_renderer import Views
 
 Array = NDArray[np.float32]
 

@@ -19,28 +19,17 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from ..errors import Cancelled, GSkinError, InputError
-from .contract import Result, read_result
+from ..job.contract import Result, read_result
+from ..job.progress import ProgressEvent
 from .interpreter import worker_environment
 
 PROGRAM = Path(__file__).with_name("process.py")
 
 State = Literal["new", "running", "done", "failed", "cancelled"]
-
-
-@dataclass(frozen=True)
-class ProgressEvent:
-    """One line of the worker: fraction 0 to 1 of the whole job, seconds_left or None, losses by name."""
-
-    stage: str
-    fraction: float = 0.0
-    seconds_left: float | None = None
-    losses: dict[str, float] = field(default_factory=dict)
-    message: str = ""
 
 
 class WorkerError(GSkinError):

@@ -32,7 +32,7 @@ def main(arguments: list[str] | None = None) -> int:
     computing = warming or arguments[:1] == ["--compute"]
     folders = arguments[1:] if computing else arguments
     if not warming and (len(folders) != 1 or folders[0].startswith("-")):
-        return _refuse("Usage: process.py JOBDIR (the folder of a job, see core/worker/contract.py).")
+        return _refuse("Usage: process.py JOBDIR (the folder of a job, see core/job/contract.py).")
     if sys.version_info < (3, 11):  # noqa: UP036  (whoever starts this may name any Python)
         version = ".".join(str(number) for number in sys.version_info[:3])
         return _refuse(
@@ -51,8 +51,8 @@ def main(arguments: list[str] | None = None) -> int:
             )
         if warming:
             return int(importlib.import_module(f"{package}.core.worker.warm").main())
-        compute = importlib.import_module(f"{package}.core.worker.compute")
-        return int(compute.main(folders[0]))
+        job_runner = importlib.import_module(f"{package}.core.worker.job_runner")
+        return int(job_runner.main(folders[0]))
     supervisor = importlib.import_module(f"{package}.core.worker.supervisor")
     command = [sys.executable, "-u", os.path.abspath(__file__), "--compute", folders[0]]
     return int(supervisor.supervise(command))

@@ -20,7 +20,8 @@ from collections.abc import Sequence
 from types import FrameType
 from typing import Any
 
-from . import lifeline
+from ..job.progress import CancelFlag
+from . import parent_watch
 
 GRACE = 0.5
 """Seconds that the computing process gets to end by itself after a cancel."""
@@ -36,7 +37,7 @@ def supervise(command: Sequence[str]) -> int:
     Stops it when a piped stdin closes, on SIGTERM, SIGINT or SIGHUP, when our parent or our reader is gone.
     The last line out is always {"stage": "done"} or {"stage": "error", "error", "traceback", "exit_code"}.
     """
-    stop = lifeline.Flag()
+    stop = CancelFlag()
 
     def on_signal(number: int, frame: FrameType | None) -> None:
         stop.set()
@@ -45,10 +46,10 @@ def supervise(command: Sequence[str]) -> int:
         if hasattr(signal, name):
             signal.signal(getattr(signal, name), on_signal)
     parent = os.getppid()
-    lifeline.die_with_parent(signal.SIGTERM)
-    pipe = lifeline.take_stdin()
+    parent_watch.die_with_parent(signal.SIGTERM)
+    pipe = parent_watch.take_stdin()
     if pipe is not None:
-        lifeline.on_close(pipe, stop.set)
+        parent_watch.on_close(pipe, stop.set)
 
     child = subprocess.Popen(
         list(command), stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=os.name == "posix"
@@ -74,7 +75,7 @@ def supervise(command: Sequence[str]) -> int:
 class _Relay:
     """Copies the child's lines to our stdout, whole lines only, from a thread."""
 
-    def __init__(self, child: subprocess.Popen[bytes], stop: lifeline.Flag) -> None:
+    def __init__(self, child: subprocess.Popen[bytes], stop: CancelFlag) -> None:
         self.final = False
         self._child, self._stop = child, stop
         self.thread = threading.Thread(target=self._copy, name="gskin-relay", daemon=True)

@@ -16,12 +16,13 @@ from typing import Any
 
 import numpy as np
 
+from ..job.contract import write_job
+from ..job.mesh_files import write_mesh
+from ..job.progress import CancelFlag
 from ..rig.skeleton import Skeleton
 from ..skinning.presets import PRESETS, Preset
 from ..splats.cloud import SplatCloud
-from . import compute, lifeline
-from .contract import write_job
-from .mesh_files import write_mesh
+from . import job_runner, parent_watch
 
 _TINY = Preset("Compiles everything, learns nothing", 1, ((256, 1), (512, 1)), 2)
 _NAME = "warm"
@@ -30,17 +31,17 @@ _SPLATS, _RINGS, _SIDES = 300, 13, 8
 
 def main() -> int:
     """Compile with low priority; ends when a piped stdin closes. Returns the exit code."""
-    send = compute.take_stdout()
-    pipe = lifeline.take_stdin()
+    send = job_runner.take_stdout()
+    pipe = parent_watch.take_stdin()
     if pipe is not None:
-        lifeline.on_close(pipe, lambda: os._exit(130))
+        parent_watch.on_close(pipe, lambda: os._exit(130))
     if hasattr(os, "nice"):
         os.nice(10)
     try:
         warm(send)
         return 0
     except Exception as error:
-        code, sentence, details = compute.explain(error)
+        code, sentence, details = job_runner.explain(error)
         send({"stage": "error", "error": sentence, "traceback": details, "exit_code": code})
         return code
 
@@ -66,7 +67,7 @@ def _run(folder: Path, settings: dict[str, Any], send: Callable[[dict[str, Any]]
     if settings.get("mesh"):
         settings["mesh"] = write_mesh(folder, verts, faces)
     write_job(folder, cloud, skeleton, settings)
-    compute.run_job(folder, send, lifeline.Flag())
+    job_runner.run_job(folder, send, CancelFlag())
 
 
 class _Relay:

@@ -11,12 +11,13 @@ from gskin_addon.core.errors import InputError
 from gskin_addon.core.guidance import create_provider
 from gskin_addon.core.guidance.control import make_signals
 from gskin_addon.core.guidance.elastic import ElasticBody
-from gskin_addon.core.guidance.graph import build_graph
 from gskin_addon.core.guidance.provider import GuidanceContext
 from gskin_addon.core.render.camera import paper_views
 from gskin_addon.core.rig.kinematics import pose_transforms
 from gskin_addon.core.rig.lbs import skin_points
 from gskin_addon.core.skinning.geodesic import body_distances
+from gskin_addon.core.skinning.heat import BoneHeat
+from gskin_addon.core.skinning.node_graph import build_graph
 from tests.helpers.limb import make_limb
 
 
@@ -26,8 +27,13 @@ def limb():
 
 
 @pytest.fixture(scope="module")
-def body(limb):
-    return ElasticBody(limb.cloud, body_distances(limb.cloud, limb.skeleton), nodes=800)
+def heat(limb):
+    return BoneHeat(limb.cloud, body_distances(limb.cloud, limb.skeleton), nodes=800)
+
+
+@pytest.fixture(scope="module")
+def body(limb, heat):
+    return ElasticBody(limb.cloud, heat)
 
 
 def bend(limb, angle):
@@ -60,8 +66,8 @@ def test_a_bend_follows_the_bones_and_keeps_edges(limb, body):
     np.testing.assert_allclose(turned[tip].as_rotvec().mean(0), [0, 0.8, 0], atol=0.05)
 
 
-def test_heat_weights_are_weights_near_the_truth(limb, body):
-    weights = body.weights()
+def test_heat_weights_are_weights_near_the_truth(limb, heat):
+    weights = heat.weights()
     np.testing.assert_allclose(weights.sum(1), 1, atol=1e-5)
     assert weights.min() >= 0
     assert (weights.argmax(1) == limb.weights.argmax(1)).mean() > 0.95

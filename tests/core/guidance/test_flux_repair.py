@@ -21,10 +21,10 @@ from gskin_addon.core.guidance.diffusion import Frame
 from gskin_addon.core.guidance.flux_repair import FluxPainter, whole_tokens
 from gskin_addon.core.guidance.options import FluxOptions
 from gskin_addon.core.guidance.provider import GuidanceContext, to_bytes
+from gskin_addon.core.pipeline import run as pipeline
 from gskin_addon.core.render.camera import paper_views
 from gskin_addon.core.render.rasterizer import render_cloud
 from gskin_addon.core.skinning import presets
-from gskin_addon.core.worker import pipeline
 from tests.helpers.limb import make_limb
 
 SIZE = 32

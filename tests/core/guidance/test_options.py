@@ -10,8 +10,8 @@ import worker_jobs as jobs
 
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.guidance.options import FluxOptions, check_options
-from gskin_addon.core.worker.contract import fingerprint
-from gskin_addon.core.worker.settings import JobSettings
+from gskin_addon.core.job.contract import fingerprint
+from gskin_addon.core.job.settings import JobSettings
 
 ROOT = Path(__file__).resolve().parents[3]
 

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from gskin_addon.core.errors import InputError
-from gskin_addon.core.render import agreement, backends, cpu
+from gskin_addon.core.render import agreement, backends
 from gskin_addon.core.render.backends import Backend, choose_backend, resolve_backend
+from gskin_addon.core.render.cpu import backend as cpu
 
 
 @pytest.fixture(autouse=True)
@@ -96,7 +97,7 @@ def test_a_missing_module_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPat
 
 def test_menus_need_no_numba_torch_or_warp() -> None:
     code = (
-        "import sys; import gskin_addon.core.worker.settings; "
+        "import sys; import gskin_addon.core.job.settings; "
         "print([m for m in ('numba', 'torch', 'warp', 'gsplat') if m in sys.modules])"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

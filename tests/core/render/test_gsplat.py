@@ -10,8 +10,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from gskin_addon.core.render import cpu, reference
+from gskin_addon.core.render import reference
 from gskin_addon.core.render.camera import Camera, look_at
+from gskin_addon.core.render.cpu import backend as cpu
 from gskin_addon.core.render.gsplat_backend import GsplatScene
 from gskin_addon.core.render.photometric import photometric_loss
 from gskin_addon.core.render.torch_loss import photometric_losses

@@ -11,7 +11,7 @@ import torch
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.render import reference
 from gskin_addon.core.render.camera import look_at
-from gskin_addon.core.render.cpu import CpuScene, morton_order, prepare
+from gskin_addon.core.render.cpu.backend import CpuScene, morton_order, prepare
 from gskin_addon.core.render.rasterizer import rasterize, resolve_backend
 
 _spec = importlib.util.spec_from_file_location("render_scenes", Path(__file__).with_name("scenes.py"))

@@ -14,8 +14,9 @@ import torch
 pytest.importorskip("warp")
 
 from gskin_addon.core.errors import InputError
-from gskin_addon.core.render import cpu, reference
+from gskin_addon.core.render import reference
 from gskin_addon.core.render.camera import Camera, look_at
+from gskin_addon.core.render.cpu import backend as cpu
 from gskin_addon.core.render.photometric import photometric_loss
 from gskin_addon.core.render.rasterizer import prepare
 

@@ -6,8 +6,8 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from gskin_addon.core.rig.rotations import closest_rotation
 from gskin_addon.core.skinning.arap import arap_loss
+from gskin_addon.core.skinning.rotations import closest_rotation
 
 
 def svd_rotation(S):

@@ -9,8 +9,8 @@ from rigged_assets import write_collection, write_tube
 
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.training.catalogue import Asset, list_assets
+from gskin_addon.core.training.guidance.split import TRAIN, VALIDATION, split_families
 from gskin_addon.core.training.rigged import load_asset
-from gskin_addon.core.training.split import TRAIN, VALIDATION, split_families
 
 
 def test_an_asset_becomes_splats_with_the_weights_of_the_surface(tmp_path):

@@ -264,7 +264,7 @@ def test_imports_with_numpy_alone():
     code = (
         "import sys\n"
         "for name in ('torch', 'numba', 'scipy', 'PIL'): sys.modules[name] = None\n"
-        "import gskin_addon.core.worker.client, gskin_addon.core.worker.contract\n"
+        "import gskin_addon.core.worker.client, gskin_addon.core.job.contract\n"
         "import gskin_addon.core.worker.interpreter\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True)

@@ -19,7 +19,8 @@ import pytest
 import worker_jobs as jobs
 
 import gskin_addon
-from gskin_addon.core.worker import contract, process
+from gskin_addon.core.job import contract
+from gskin_addon.core.worker import process
 from gskin_addon.core.worker.client import PROGRAM
 
 posix = pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
@@ -262,7 +263,7 @@ def test_loads_a_package_anywhere_without_touching_the_path(tmp_path):
         before = list(sys.path)
         module = runpy.run_path({str(program)!r})
         name = module["load_package"]()
-        import gskin_addon.core.worker.contract as contract
+        import gskin_addon.core.job.contract as contract
         assert name == "gskin_addon" and sys.path == before, sys.path
         print(contract.__file__)
     """)

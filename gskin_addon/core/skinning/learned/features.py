@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...rig.roles import bone_roles
+from ...rig.bone_roles import bone_roles
 from ...rig.segments import BoneSegments, bone_segments
 from ...rig.skeleton import Skeleton
 from .parts import Parts, label_means

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...errors import InputError
-from ...rig.roles import ROLES
+from ...rig.bone_roles import ROLES
 
 if TYPE_CHECKING:
     from .network import PriorNetwork

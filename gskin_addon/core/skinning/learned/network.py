@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from ...rig.roles import ROLES
+from ...rig.bone_roles import ROLES
 from .features import NAMES, PRIOR
 from .tree import RELATIONS
 

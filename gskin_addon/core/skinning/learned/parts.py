@@ -22,7 +22,7 @@ TOUCH = 3.0
 """Splats this many usual steps apart touch: hardly one is farther than that from all of its neighbours."""
 
 LINKS = 10
-_APART = 2.0  # see GAP_RATIO in core/guidance/graph.py
+_APART = 2.0  # see GAP_RATIO in core/skinning/node_graph.py
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from ...rig.skeleton import Skeleton
 from ...splats.cloud import SplatCloud
-from .body import Body, look_at
+from .describe import Body, look_at
 from .features import PRIOR
-from .held import hold
+from .held_objects import hold
 from .model_file import SHIPPED, load_model
 from .parts import apart
 

@@ -22,10 +22,10 @@ from gskin_addon.core.guidance.lightning_drag.image_tokens import CLIP_MEAN, CLI
 from gskin_addon.core.guidance.lightning_drag.pipeline import LightningDragPainter, Schedule, add_noise
 from gskin_addon.core.guidance.options import LightningDragOptions
 from gskin_addon.core.guidance.provider import GuidanceContext, to_bytes
+from gskin_addon.core.pipeline import run as job
 from gskin_addon.core.render.camera import paper_views
 from gskin_addon.core.render.rasterizer import render_cloud
 from gskin_addon.core.skinning import presets
-from gskin_addon.core.worker import pipeline as job
 from tests.helpers.limb import make_limb
 
 CPU = torch.device("cpu")

@@ -10,9 +10,9 @@ import pytest
 
 from gskin_addon.core.rig.segments import bone_segments
 from gskin_addon.core.rig.skeleton import Skeleton
-from gskin_addon.core.skinning.learned import creatures
-from gskin_addon.core.skinning.learned.body import look_at
+from gskin_addon.core.skinning.learned.describe import look_at
 from gskin_addon.core.skinning.learned.features import NAMES, TOKENS, Reach, describe
+from gskin_addon.core.training.prior import creatures
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from gskin_addon.core.rig.roles import ROLES
+from gskin_addon.core.rig.bone_roles import ROLES
 from gskin_addon.core.skinning.learned.features import NAMES, TOKENS
 from gskin_addon.core.skinning.learned.network import PriorNetwork, Shape, make_batch, pool_tokens
 from gskin_addon.core.skinning.learned.tree import kinship

@@ -13,9 +13,10 @@ from gskin_addon.core.rig.lbs import skin_points
 from gskin_addon.core.rig.poses import random_axes, random_poses
 from gskin_addon.core.rig.skeleton import Skeleton
 from gskin_addon.core.skinning.initial import initial_weights_geodesic
-from gskin_addon.core.skinning.learned import creatures, predict
+from gskin_addon.core.skinning.learned import predict
 from gskin_addon.core.skinning.learned.predict import learned_weights
 from gskin_addon.core.splats.cloud import SplatCloud
+from gskin_addon.core.training.prior import creatures
 from tests.helpers.limb import make_limb
 
 

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From splats and a skeleton to the network's input: distances, heat, parts, description."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...rig.segments import bone_segments
+from ...rig.skeleton import Skeleton
+from ...splats.cloud import SplatCloud
+from ..extent import unit_frame
+from ..geodesic import geodesic_distances
+from ..heat import CLOSEST, FACING_STRENGTH, BoneHeat
+from ..normal_weighted_distance import agreed, facing_distances, outward, surface_normals
+from ..voxels import voxelize
+from .features import Description, Reach, describe
+from .parts import Parts, even_subset, find_parts
+
+Array = NDArray[Any]
+
+RESOLUTION, NORMAL_RESOLUTION = 110, 144
+"""Voxels along the longest side for distances and for which way is out, where the splats are dense enough. With 72
+for distances the errors on 34 bodies of 20,000 splats are 1 to 3 % higher."""
+
+HEAT_NODES = 2000
+DIFFUSE, HARD = 0.15, 5.0
+"""Handle strengths of the weak and the strong equilibrium, as parts of the usual one's."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """Some splats of an object, described.
+
+    index (N,): which splats; points, colors, normals, out (N, 3), see `outward` and `agreed`; reach and parts of these
+    N splats; rows (M,): the described ones among them; description; size: the object's diagonal.
+    """
+
+    index: Array
+    points: Array
+    colors: Array
+    normals: Array
+    out: Array
+    reach: Reach
+    parts: Parts
+    rows: Array
+    description: Description
+    size: float
+
+
+def look_at(
+    cloud: SplatCloud,
+    skeleton: Skeleton,
+    *,
+    limit: int = 5000,
+    rows: int | None = None,
+    resolution: int = RESOLUTION,
+) -> Body:
+    """Describe about `limit` splats, evenly spread over the object; only `rows` of them in the end."""
+    _, size = unit_frame(cloud.means)
+    grid = voxelize(cloud.means, cloud.opacities, resolution, scales=cloud.scales, quats=cloud.quats)
+    index = even_subset(cloud.means, limit)
+    part = cloud.select(index)
+    segments = bone_segments(skeleton)
+    ways = geodesic_distances(part.means, part.opacities, segments.skeleton(), resolution, grid=grid)
+    distances = segments.nearest(ways)
+    points, colors = part.means.astype(np.float64), part.base_colors()
+    normals = surface_normals(points)
+    fine = voxelize(cloud.means, cloud.opacities, NORMAL_RESOLUTION, scales=cloud.scales, quats=cloud.quats)
+    out = agreed(points, outward(points, normals, fine), distances.min(axis=1), size)
+    faced = facing_distances(points, out, segments, ways, CLOSEST * size)
+    body = BoneHeat(part, distances, reach=faced, strength=FACING_STRENGTH, nodes=HEAT_NODES)
+    plain = BoneHeat(part, distances, nodes=HEAT_NODES).weights()
+    reach = Reach(
+        distances, faced, body.weights(), body.weights(strength=DIFFUSE), body.weights(strength=HARD), plain
+    )
+    parts = find_parts(points, colors, distances)
+    chosen = np.arange(len(points)) if rows is None else even_subset(points, rows)
+    described = describe(points, normals, out, skeleton, reach, parts, size, rows=chosen)
+    return Body(index, points, colors, normals, out, reach, parts, chosen, described, size)

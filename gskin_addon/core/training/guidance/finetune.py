@@ -1,0 +1,274 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Fine-tuning LightningDrag on image pairs (Sec. IV): the loop, its checkpoints, and what it leaves behind."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from ...errors import InputError
+from ...guidance.diffusion import compute_device
+from ...guidance.lightning_drag.files import FINE_TUNED, Files, find_files, read_table
+from ...guidance.lightning_drag.pipeline import LightningDragPainter, Schedule
+from ...guidance.lightning_drag.point_maps import SPARSE, check_size
+from ...guidance.lightning_drag.weights import load
+from ...guidance.model_files import require
+from .drag_loss import DragLoss, trained_parameters
+from .examples import Examples, batches
+from .pairs import PairDataset, read_manifest
+from .split import VALIDATION
+from .tune_options import TuneOptions
+from .tune_state import Average, check_identity, load_state, put, save_state, write_checkpoint
+from .validate import load_lpips, validate
+
+Report = Callable[[float, str], None]
+PRECISION = {torch.float32: "no", torch.float16: "fp16", torch.bfloat16: "bf16"}
+HISTORY = 100
+"""Losses kept, each the mean since the one before."""
+
+
+def tune(pairs: Path, out: Path, settings: Mapping[str, Any], report: Report) -> str:
+    """Fine-tune LightningDrag on the data set `pairs` and write it to `out`; returns a sentence on how it went.
+
+    The same call goes on from the last checkpoint of a stopped one. `out` is then a checkpoint that the guidance
+    `lightning_drag` takes.
+
+    Raises:
+        InputError: settings, models or pairs that cannot be used, or `out` holds another training.
+    """
+    options = TuneOptions.parse(settings, "lightning_drag")
+    for package in ("diffusers", "transformers", "accelerate", "safetensors"):
+        require(package, "Fine-tuning")
+    data = PairDataset(pairs)
+    check_size(data.size, data.size)
+    files = find_files(options, lambda message: report(0.0, message))
+    training = Training(options, files, data, _validation_pairs(pairs), _identity(options, files, pairs), out)
+    if not training.is_finished():
+        out.mkdir(parents=True, exist_ok=True)
+        training.prepare(report)
+        training.run(report)
+    report(1.0, "finished")
+    return _sentence(read_table(out / FINE_TUNED), out)
+
+
+class Training:
+    """One training: what it is of, and how far it is."""
+
+    def __init__(
+        self,
+        options: TuneOptions,
+        files: Files,
+        data: PairDataset,
+        held_out: PairDataset | None,
+        identity: Mapping[str, Any],
+        out: Path,
+    ) -> None:
+        from accelerate import Accelerator
+
+        self._options, self._files, self._data, self._held_out = options, files, data, held_out
+        self._identity, self._out = identity, out
+        device, self._dtype = compute_device(options.device, options.dtype, half="bfloat16")
+        self._accelerator = Accelerator(
+            mixed_precision=PRECISION[self._dtype],
+            gradient_accumulation_steps=options.accumulate,
+            cpu=device.type == "cpu",
+        )
+        self._size = options.batch * options.accumulate * self._accelerator.num_processes
+        self.total = options.updates or math.ceil(options.epochs * len(data) / self._size)
+        self._update, self._scores = 0, dict[str, Any]()
+        self._losses, self._since = list[dict[str, float]](), list[float]()
+
+    def is_finished(self) -> bool:
+        """Whether `out` already holds the end of this training, or of a longer one.
+
+        Raises:
+            InputError: it holds another training.
+        """
+        if not (self._out / FINE_TUNED).is_file():
+            return False
+        facts = read_table(self._out / FINE_TUNED)
+        check_identity(self._out, facts.get("identity", {}), self._identity)
+        return int(facts.get("updates", 0)) >= self.total
+
+    def prepare(self, report: Report) -> None:
+        """Load the models, and the checkpoint where there is one."""
+        options, accelerator = self._options, self._accelerator
+        report(0.0, "Loading the models")
+        self._lpips = load_lpips(options.lpips) if options.lpips else None
+        self._model = load(self._files, self._dtype, trained=torch.float32)
+        self._parameters = trained_parameters(self._model)
+        for value in self._parameters.values():
+            value.requires_grad_(True)
+        if options.checkpointing:
+            self._model.unet.enable_gradient_checkpointing()
+            self._model.appearance.enable_gradient_checkpointing()
+        loss = DragLoss(self._model, options.drop, accelerator.device, self._dtype)
+        adam = torch.optim.AdamW(self._parameters.values(), lr=options.learning_rate, weight_decay=options.weight_decay)
+        state = load_state(self._out, self._identity)
+        if state is not None:
+            put(self._parameters, state["weights"])
+        self._loss, self._adam = accelerator.prepare(loss, adam)
+        self._average = Average(self._parameters, options.ema)
+        if state is not None:
+            self._restore(state)
+
+    def run(self, report: Report) -> None:
+        """Train to the end, validate, and write the weights."""
+        options = self._options
+        self._validate("before", report)
+        epoch = math.ceil(len(self._data) / self._size)
+        saved = time.monotonic()
+        for loss in self._updates():
+            self._update += 1
+            self._since.append(loss)
+            if self._update % max(1, self.total // HISTORY) == 0:
+                mean = sum(self._since) / len(self._since)
+                self._losses.append({"update": self._update, "loss": round(mean, 6)})
+                self._since = []
+            report(0.98 * self._update / self.total, f"Update {self._update} of {self.total}, loss {loss:.4f}")
+            if options.validate_every and self._update % (options.validate_every * epoch) == 0:
+                self._validate(f"update {self._update}", report)
+                self._write()
+            if time.monotonic() - saved >= 60 * options.save_minutes:
+                self._save()
+                saved = time.monotonic()
+        self._save()
+        self._validate("after", report)
+        self._write()
+
+    def _updates(self) -> Any:
+        """The mean loss of each update, as it is done."""
+        options, accelerator = self._options, self._accelerator
+        examples = Examples(self._data, self._size, self._model.image_encoder.config.image_size, options.seed)
+        loader = batches(
+            examples,
+            range(self._update, self.total),
+            options.batch,
+            options.accumulate,
+            process=accelerator.process_index,
+            processes=accelerator.num_processes,
+            workers=options.workers,
+        )
+        parts: list[float] = []
+        for batch in loader:
+            with accelerator.accumulate(self._loss):
+                loss = self._loss(batch)
+                accelerator.backward(loss)
+                if accelerator.sync_gradients and options.clip:
+                    accelerator.clip_grad_norm_(self._parameters.values(), options.clip)
+                self._adam.step()
+                self._adam.zero_grad()
+            parts.append(float(loss.detach()))
+            if len(parts) == options.accumulate:
+                mean = sum(parts) / len(parts)
+                if not math.isfinite(mean) and accelerator.scaler is None:
+                    raise InputError(
+                        "The training diverged (its loss is no longer a number); start again with a lower "
+                        "learning_rate, or dtype=float32."
+                    )
+                self._average.update(self._update + 1)
+                parts = []
+                yield mean
+
+    def _validate(self, when: str, report: Report) -> None:
+        options = self._options
+        if self._held_out is None or not options.validation or when in self._scores:
+            return
+        if not self._accelerator.is_main_process:
+            self._accelerator.wait_for_everyone()
+            return
+        tuned = when != "before"
+        start = self._files.fine_tuned().get("max_points", SPARSE if options.max_points < 0 else options.max_points)
+        painter = LightningDragPainter(
+            self._model,
+            Schedule.of("ddim", options.steps, options.guidance_scale),
+            device=self._accelerator.device,
+            dtype=self._dtype,
+            batch=options.batch,
+            max_points=0 if tuned else int(start),
+        )
+        part = self._update / self.total
+
+        def tell(done: float) -> None:
+            report(0.98 * part + (0.02 * done if when == "after" else 0.0), f"Validation {when}: {done:.0%}")
+
+        with self._average.in_place(), self._accelerator.autocast():
+            self._scores[when] = validate(painter, self._held_out, options.validation, options.seed, tell, self._lpips)
+        self._accelerator.wait_for_everyone()
+
+    def _save(self) -> None:
+        if not self._accelerator.is_main_process:
+            return
+        scaler = self._accelerator.scaler
+        state = {
+            "identity": dict(self._identity),
+            "update": self._update,
+            "weights": {name: value.detach() for name, value in self._parameters.items()},
+            "average": self._average.values,
+            "adam": self._adam.state_dict(),
+            "scaler": None if scaler is None else scaler.state_dict(),
+            "scores": self._scores,
+            "losses": self._losses,
+            "since": self._since,
+        }
+        save_state(self._out, state)
+
+    def _restore(self, state: Mapping[str, Any]) -> None:
+        self._adam.load_state_dict(state["adam"])
+        for name, value in self._average.values.items():
+            value.copy_(state["average"][name])
+        if self._accelerator.scaler is not None and state["scaler"] is not None:
+            self._accelerator.scaler.load_state_dict(state["scaler"])
+        self._update, self._scores = state["update"], state["scores"]
+        self._losses, self._since = state["losses"], state["since"]
+
+    def _write(self) -> None:
+        if not self._accelerator.is_main_process:
+            return
+        facts = {
+            "version": 1,
+            "max_points": 0,
+            "updates": self._update,
+            "epochs": round(self._update * self._size / len(self._data), 2),
+            "pairs": len(self._data),
+            "validation": self._scores,
+            "losses": self._losses,
+            "identity": dict(self._identity),
+        }
+        with self._average.in_place():
+            write_checkpoint(self._model, self._out, self._files.lightning_drag, facts)
+
+
+def _validation_pairs(pairs: Path) -> PairDataset | None:
+    has = any(shard["split"] == VALIDATION for shard in read_manifest(pairs)["shards"])
+    return PairDataset(pairs, VALIDATION) if has else None
+
+
+def _identity(options: TuneOptions, files: Files, pairs: Path) -> dict[str, Any]:
+    """All that decides the trained weights, as plain values."""
+    manifest = read_manifest(pairs)
+    told = json.dumps([manifest["settings"], manifest["shards"]], sort_keys=True)
+    # Times are left out: a copy of a model is the same model.
+    sizes = {role: [[name, size] for name, size, _ in found] for role, found in files.stamps().items()}
+    return {
+        **options.identity(),
+        "the pairs": hashlib.blake2b(told.encode(), digest_size=8).hexdigest(),
+        "the models": hashlib.blake2b(json.dumps(sizes, sort_keys=True).encode(), digest_size=8).hexdigest(),
+    }
+
+
+def _sentence(facts: Mapping[str, Any], out: Path) -> str:
+    before, after = (facts["validation"].get(when) for when in ("before", "after"))
+    if not before or not after:
+        return f"'{out}' was fine-tuned by {facts['updates']:,} updates; there were no pairs to validate on."
+    scores = ", ".join(
+        f"{name.upper()} {before[name]:.4g} -> {after[name]:.4g}" for name in ("psnr", "ssim", "lpips") if name in after
+    )
+    return f"'{out}' was fine-tuned by {facts['updates']:,} updates; on {after['pairs']} held-out pairs {scores}."

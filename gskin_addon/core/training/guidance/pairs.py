@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Image pairs to fine-tune guidance models on (Sec. IV): rest image, posed image, control points, dynamic mask.
+
+A data set is a folder:
+    manifest.json      {"version", "settings", "assets": [name, family, split, licence, author], "shards": [...]};
+                       lists what is finished, so a killed run goes on behind it
+    shards/NAME.npz    pairs of one asset: rest_V (PNG of view V), and per pair P posed_P, mask_P (PNG), handles_P and
+                       targets_P (K, 2) pixel positions (x, y); view (P,)
+Reading needs numpy and Pillow only.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import InputError
+from .split import TRAIN
+
+VERSION = 1
+MANIFEST, SHARDS = "manifest.json", "shards"
+
+
+@dataclass(frozen=True)
+class Pair:
+    """rest, posed (H, W, 3) uint8 sRGB; mask (H, W) bool, where they may differ; handles, targets (K, 2) float32
+    pixel positions (x, y) of the displaced joints; asset: its name; view: index of the camera."""
+
+    rest: NDArray[np.uint8]
+    posed: NDArray[np.uint8]
+    mask: NDArray[np.bool_]
+    handles: NDArray[np.float32]
+    targets: NDArray[np.float32]
+    asset: str
+    view: int
+
+
+class PairDataset:
+    """The finished pairs of one split, by number; a map-style data set for torch's DataLoader.
+
+    Each process opens the shards for itself, one pair is read at a time.
+    """
+
+    def __init__(self, folder: Path, split: str = TRAIN) -> None:
+        """split: "train" or "validation".
+
+        Raises:
+            InputError: the folder is no data set, or has no pairs of that split.
+        """
+        self._folder = folder
+        manifest = read_manifest(folder)
+        self.size = int(manifest["settings"]["size"])
+        self._shards = [shard for shard in manifest["shards"] if shard["split"] == split]
+        self._ends = np.cumsum([shard["pairs"] for shard in self._shards])
+        if not len(self):
+            raise InputError(f"'{folder}' has no finished pairs to {split} on; make them with train-guidance pairs.")
+
+    def __len__(self) -> int:
+        return int(self._ends[-1]) if len(self._ends) else 0
+
+    def __getitem__(self, number: int) -> Pair:
+        if not 0 <= number < len(self):
+            raise IndexError(number)
+        index = int(np.searchsorted(self._ends, number, side="right"))
+        shard = self._shards[index]
+        inside = number - (int(self._ends[index - 1]) if index else 0)
+        path = self._folder / SHARDS / shard["file"]
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                view = int(file["view"][inside])
+                return Pair(
+                    decode_image(file[f"rest_{view}"]),
+                    decode_image(file[f"posed_{inside}"]),
+                    decode_image(file[f"mask_{inside}"]),
+                    file[f"handles_{inside}"],
+                    file[f"targets_{inside}"],
+                    shard["asset"],
+                    view,
+                )
+        except (OSError, ValueError, KeyError, SyntaxError, zipfile.BadZipFile) as error:
+            raise InputError(f"The shard '{path}' is damaged ({error}); delete it and make the pairs again.") from None
+
+    def __iter__(self) -> Iterator[Pair]:
+        return (self[number] for number in range(len(self)))
+
+
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """The manifest of a data set.
+
+    Raises:
+        InputError: there is none, or another version wrote it.
+    """
+    path = folder / MANIFEST
+    try:
+        manifest: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        version = manifest["version"]
+    except FileNotFoundError:
+        raise InputError(f"'{folder}' is no set of image pairs; make one with train-guidance pairs.") from None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"'{path}' cannot be read ({error}); make the pairs again in another folder.") from None
+    if version != VERSION:
+        raise InputError(f"'{path}' has version {version}, this gskin reads {VERSION}; make the pairs again.")
+    return manifest
+
+
+def encode_image(image: NDArray[Any]) -> NDArray[np.uint8]:
+    """PNG bytes of an (H, W, 3) uint8 or (H, W) bool image."""
+    from PIL import Image
+
+    buffer = io.BytesIO()
+    Image.fromarray(image).save(buffer, "PNG")
+    return np.frombuffer(buffer.getvalue(), np.uint8)
+
+
+def decode_image(data: NDArray[np.uint8]) -> NDArray[Any]:
+    from PIL import Image
+
+    with Image.open(io.BytesIO(data.tobytes())) as picture:
+        return np.array(picture)

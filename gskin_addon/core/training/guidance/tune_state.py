@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a training keeps on the disk: a checkpoint to go on from, and weights in LightningDrag's published layout."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from ...errors import InputError
+from ...files import write_atomically, write_json
+from ...guidance.lightning_drag.files import APPEARANCE, ATTENTION, FINE_TUNED, POINTS
+from ...guidance.lightning_drag.weights import LightningDrag
+
+STATE = "training.pt"
+
+
+class Average:
+    """Exponential moving average of parameters; follows faster in the first updates."""
+
+    def __init__(self, parameters: Mapping[str, nn.Parameter], decay: float) -> None:
+        """decay: 0 to 1; 0 keeps no average."""
+        self._parameters, self._decay = parameters, decay
+        self.values = {name: value.detach().clone() for name, value in parameters.items()} if decay else {}
+
+    @torch.no_grad()
+    def update(self, updates: int) -> None:
+        """After the update that makes `updates` of them."""
+        part = 1.0 - min(self._decay, (1 + updates) / (10 + updates))
+        for name, value in self.values.items():
+            value.lerp_(self._parameters[name].detach(), part)
+
+    @contextlib.contextmanager
+    def in_place(self) -> Iterator[None]:
+        """The parameters have their averages as values meanwhile."""
+        own = {name: self._parameters[name].detach().clone() for name in self.values}
+        put(self._parameters, self.values)
+        try:
+            yield
+        finally:
+            put(self._parameters, own)
+
+
+@torch.no_grad()
+def put(parameters: Mapping[str, nn.Parameter], values: Mapping[str, torch.Tensor]) -> None:
+    """Give `parameters` the `values` of their names."""
+    for name, value in values.items():
+        parameters[name].copy_(value)
+
+
+def save_state(out: Path, state: Mapping[str, Any]) -> None:
+    """The checkpoint, whole or not at all."""
+    write_atomically(out / STATE, lambda file: torch.save(dict(state), file))
+
+
+def load_state(out: Path, identity: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The checkpoint in `out`, None where there is none yet.
+
+    Raises:
+        InputError: it cannot be read, or belongs to another training; says what differs.
+    """
+    path = out / STATE
+    if not path.is_file():
+        return None
+    try:
+        state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
+        check_identity(out, state["identity"], identity)
+    except InputError:
+        raise
+    except Exception as error:  # of pickle, zip, torch
+        line = str(error).strip().split("\n")[0]
+        raise InputError(f"The checkpoint '{path}' cannot be read ({line}); delete it to start again.") from error
+    return state
+
+
+def check_identity(out: Path, found: Mapping[str, Any], wanted: Mapping[str, Any]) -> None:
+    """Raise InputError where the training in `out` is another one."""
+    differs = [name for name in wanted if found.get(name) != wanted[name]]
+    if differs:
+        name = differs[0]
+        short = f"was {found.get(name)!r}, is {wanted[name]!r}" if len(str(wanted[name])) < 40 else "differs"
+        raise InputError(f"'{out}' holds a training with other settings ({name} {short}); choose another --out.")
+
+
+def write_checkpoint(model: LightningDrag, out: Path, source: Path, facts: Mapping[str, Any]) -> None:
+    """The trained weights in the published layout, with `facts` in fine_tuned.json, which is written last.
+
+    source: the checkpoint that training started from, whose configuration is kept.
+    """
+    from safetensors.torch import save_file
+
+    for folder in (APPEARANCE, str(Path(POINTS).parent)):
+        (out / folder).mkdir(parents=True, exist_ok=True)
+    plain = {name: value.detach().cpu().contiguous() for name, value in model.appearance.state_dict().items()}
+    weights = out / APPEARANCE / "diffusion_pytorch_model.safetensors"
+    temporary = weights.with_name(f".{weights.name}.{os.getpid()}.tmp")
+    try:
+        save_file(plain, temporary, metadata={"format": "pt"})
+        os.replace(temporary, weights)
+    finally:
+        temporary.unlink(missing_ok=True)
+    config = out / APPEARANCE / "config.json"
+    if not config.is_file():
+        shutil.copyfile(source / APPEARANCE / "config.json", config)
+    for name, module in ((POINTS, model.point_embedding), (ATTENTION, model.processors)):
+        state = {key: value.detach().float().cpu() for key, value in module.state_dict().items()}
+        write_atomically(out / name, partial(torch.save, state))
+    write_json(out / FINE_TUNED, dict(facts))

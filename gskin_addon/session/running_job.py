@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The Auto-Skin that runs, and the outcome of the last one. Blender has one of each, so this is global."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .skin_job import SkinJob
+
+
+@dataclass
+class State:
+    """The job that runs, if one does, and the last one's outcome in a sentence."""
+
+    job: SkinJob | None = None
+    outcome: str = ""
+    failed: bool = False
+    details: str = ""
+    shown: str = ""
+
+
+state = State()
+
+
+def begin(job: SkinJob) -> None:
+    """`job` runs from now on."""
+    state.job, state.outcome, state.failed, state.details = job, "", False, ""
+
+
+def end(outcome: str, *, failed: bool = False, details: str = "") -> None:
+    """No job runs any more; `details` may be a traceback of the worker."""
+    state.job, state.outcome, state.failed, state.details = None, outcome, failed, details
+
+
+def stop() -> None:
+    """Stop a running job because the add-on goes."""
+    if state.job is not None:
+        state.job.cancel()
+    end("")

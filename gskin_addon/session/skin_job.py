@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""One run of Auto-Skin as the scene sees it: objects out to a job folder, weights back to the objects."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from ..core.errors import GSkinError, InputError
+from ..core.job.contract import LOCK, fingerprint, write_job
+from ..core.job.lock import job_lock
+from ..core.job.mesh_files import mesh_name, write_mesh
+from ..core.job.progress import ProgressEvent
+from ..core.worker.client import WorkerClient
+from ..scene import names
+from ..scene.anchored import anchor_to_mesh, read_world_mesh
+from ..scene.armature import read_skeleton
+from ..scene.proxy_object import bind_proxy
+from ..scene.splat_object import read_cloud, splat_count
+from ..scene.weights import write_weights
+
+KEPT_JOBS = 3
+"""Stopped jobs that are kept, so that the same click goes on where it was."""
+
+_ROOT = __package__.rpartition(".")[0]
+
+
+@dataclass
+class SkinJob:
+    """A worker busy for a splat object and an armature, known by session id because names may change."""
+
+    client: WorkerClient
+    splats: tuple[int, str]
+    armature: tuple[int, str]
+    count: int
+    max_influences: int
+    proxy: tuple[int, str] | None = None
+    started: float = field(default_factory=time.monotonic)
+    progress: ProgressEvent = field(default_factory=lambda: ProgressEvent("start"))
+    progress_at: float = field(default_factory=time.monotonic)
+    cancelling: bool = False
+
+    @classmethod
+    def start(
+        cls,
+        splats: bpy.types.Object,
+        armature: bpy.types.Object,
+        settings: dict[str, Any],
+        python: Path,
+        proxy: bpy.types.Object | None = None,
+    ) -> SkinJob:
+        """Write the job of these objects at rest, in world space, and start a worker on it.
+
+        With `proxy`, a mesh object, the weights are learned on its vertices and the splats are anchored to it.
+
+        Raises:
+            InputError: objects that cannot be skinned, an interpreter that cannot be started.
+            GSkinError: the job folder cannot be written.
+        """
+        skeleton = read_skeleton(armature)
+        cloud = read_cloud(splats)
+        home = jobs_folder()
+        forget_old_jobs(home)
+        mesh = None if proxy is None else read_world_mesh(proxy)
+        if mesh is not None:
+            settings = {**settings, "mesh": mesh_name(*mesh)}
+        folder = home / fingerprint(cloud, skeleton, settings)
+        write_job(
+            folder,
+            cloud,
+            skeleton,
+            settings,
+            splats=f"'{splats.name}'",
+            armature=f"Armature '{armature.name}'",
+            up=str(splats.data[names.MARK].get("up", "z")),
+        )
+        if mesh is not None:
+            write_mesh(folder, *mesh)
+        client = WorkerClient(python, folder, gentle=not bpy.app.background)
+        client.start()
+        return cls(
+            client,
+            (splats.session_uid, splats.name),
+            (armature.session_uid, armature.name),
+            cloud.count,
+            int(settings["max_influences"]),
+            None if proxy is None else (proxy.session_uid, proxy.name),
+        )
+
+    def step(self) -> bool:
+        """Take in what the worker said; True while it runs. Never waits.
+
+        Raises:
+            InputError: an object was deleted meanwhile; the worker is then being stopped.
+        """
+        events = self.client.poll()
+        if events:
+            self.progress, self.progress_at = events[-1], time.monotonic()
+        if not self.cancelling:
+            self._objects()
+        return self.client.state == "running"
+
+    def cancel(self) -> None:
+        """Ask the worker to stop. Never waits."""
+        self.cancelling = True
+        self.client.cancel()
+
+    def apply(self) -> str:
+        """Write the weights of the ended job to the objects; returns a sentence about them.
+
+        A proxy mesh gets its weights too, and the splats follow it.
+
+        Raises:
+            GSkinError: the job did not end well, or the objects are not what they were; nothing is written.
+        """
+        splats, armature, *proxies = self._objects()
+        result = self.client.result()
+        if splat_count(splats) != self.count:
+            raise InputError(
+                f"'{splats.name}' had {self.count} splats when the job started, now {splat_count(splats)}; "
+                "run Auto-Skin again."
+            )
+        for proxy in proxies:
+            bind_proxy(proxy, armature, result.mesh_weights, result.bones)
+        write_weights(
+            splats,
+            armature,
+            result.weights,
+            result.bones,
+            max_influences=self.max_influences,
+            confidence=result.confidence,
+        )
+        for proxy in proxies:
+            anchor_to_mesh(splats, proxy)
+        shutil.rmtree(self.client.folder, ignore_errors=True)
+        seconds = time.monotonic() - self.started
+        words = (
+            f"{self.count:,} splats follow {len(result.bones)} bones of '{armature.name}' ({seconds:.0f} s)"
+        )
+        summary = result.report.get("summary")
+        return f"{words}; {summary}" if isinstance(summary, str) and summary else words
+
+    @property
+    def seconds_left(self) -> float | None:
+        """The worker's estimate, counted down since it was made."""
+        left = self.progress.seconds_left
+        return None if left is None else max(0.0, left - (time.monotonic() - self.progress_at))
+
+    def _objects(self) -> list[bpy.types.Object]:
+        """The splat object, the armature, and the proxy mesh where there is one."""
+        found = []
+        wanted = [(self.splats, "splat object"), (self.armature, "armature")]
+        if self.proxy is not None:
+            wanted.append((self.proxy, "mesh"))
+        for (uid, name), what in wanted:
+            obj = _object_by_uid(uid, name)
+            if obj is None:
+                self.cancel()
+                raise InputError(
+                    f"The {what} '{name}' was deleted while its weights were made; nothing was written."
+                )
+            found.append(obj)
+        return found
+
+
+def jobs_folder() -> Path:
+    """Where this Blender keeps its jobs: the extension's folder, or the user's data where it is none."""
+    try:
+        folder = bpy.utils.extension_path_user(_ROOT, path="jobs", create=True)
+    except ValueError:
+        folder = bpy.utils.user_resource("DATAFILES", path="gskin/jobs", create=True)
+    if not folder:
+        raise GSkinError("Blender's folder for user data cannot be made; check that the disk is not full.")
+    return Path(folder)
+
+
+def forget_old_jobs(home: Path, keep: int = KEPT_JOBS) -> None:
+    """Remove all but the `keep` latest jobs in `home` that no worker is busy with."""
+    jobs = sorted((path for path in home.iterdir() if path.is_dir()), key=lambda path: path.stat().st_mtime)
+    for folder in jobs[: max(0, len(jobs) - keep)]:
+        with contextlib.suppress(GSkinError):
+            with job_lock(folder / LOCK, patience=0.0):
+                free = True
+            if free:
+                shutil.rmtree(folder, ignore_errors=True)
+
+
+def _object_by_uid(uid: int, name: str) -> bpy.types.Object | None:
+    """The object, whatever it is called now; None when it is gone or in no scene, as deleted ones are."""
+    obj = bpy.data.objects.get(name)
+    if obj is None or obj.session_uid != uid:
+        obj = next((other for other in bpy.data.objects if other.session_uid == uid), None)
+    return obj if obj is not None and obj.users_scene else None
