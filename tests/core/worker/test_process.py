@@ -268,7 +268,7 @@ def test_loads_a_package_anywhere_without_touching_the_path(tmp_path):
         print(contract.__file__)
     """)
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
-    assert Path(run.stdout.strip()) == home / "core" / "worker" / "contract.py", run.stderr
+    assert Path(run.stdout.strip()) == home / "core" / "job" / "contract.py", run.stderr
     worker = subprocess.run(
         [sys.executable, "-u", program, tmp_path / "none"], stdin=subprocess.DEVNULL, capture_output=True
     )
