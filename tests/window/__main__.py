@@ -15,14 +15,15 @@ import subprocess
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "tools"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 from blenders import SUITES, Blender, find_blenders
+from installing import check_repository
 from judging import Check, judge
 from offscreen import VERSION, check_viewport
 from version_venv import Missing, make
 
+ROOT = Path(__file__).resolve().parents[2]
 PICTURES = {"01_panel": "panel", "03_progress_60": "progress", "05_posed": "posed"}
 SCREEN = "-screen 0 1600x900x24"
 LONGEST = 3600
@@ -77,8 +78,9 @@ def play(blender: Blender, out: Path, splats: Path, rig: Path, options: argparse
     plain = [blender.program, "-b", "--python-exit-code", "1", "--python", str(ROOT / "tests/window/background.py")]
     if blender.run([*plain, "--", "--out", str(out), "--splats", str(splats)], environment, LONGEST) != 0:
         return [("the extension works without a window", False, "Blender's words are above")]
+    first: list[Check] = [("the extension works without a window", True, ""), check_repository(blender, out, LONGEST)]
     if options.background:
-        return [("the extension works without a window", True, "")]
+        return first
     session = [
         *("xvfb-run", "-a", "-s", SCREEN, blender.program),
         *("--window-geometry", "0", "0", "1600", "900", "--python", str(ROOT / "tests/window/session.py"), "--"),
@@ -87,9 +89,10 @@ def play(blender: Blender, out: Path, splats: Path, rig: Path, options: argparse
     # After Blender is gone a worker may live for a second; then none may be left.
     after = f'"$@"; code=$?; sleep 1.5; pgrep -af "core/worker/process.py.*" > {out}/left.txt; exit $code'
     code = blender.run(["sh", "-c", after, "sh", *session], environment, LONGEST)
-    checks = judge(out)
-    if checks is None:
-        return [("the session comes to its end", False, f"Blender ended with {code}; its words are above")]
+    played = judge(out)
+    if played is None:
+        return [*first, ("the session comes to its end", False, f"Blender ended with {code}; its words are above")]
+    checks = [*first, *played]
     if code != 0:
         checks.append(("Blender ends well", False, f"exit code {code}"))
     if options.pictures and all(good for _, good, _ in checks):

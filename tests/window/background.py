@@ -39,6 +39,7 @@ def main() -> None:
     splats, rig = bpy.context.view_layer.objects.active, armature()
     cloud = part("scene.splat_object").read_cloud(splats)
     part("scene.weights").write_weights(splats, rig, distance_weights(cloud.means, rig), list(TURNS))
+    learn(cloud, rig)
     part("scene.posing").turn_bones(rig, TURNS)
     compare(splats, "posed")
     path = options.out / "background.blend"
@@ -57,6 +58,24 @@ def main() -> None:
     assert hasattr(bpy.types, "GSKIN_OT_auto_skin"), "registering again failed"
     python = "Python {}.{}".format(*sys.version_info)
     print(f"ok    {bpy.app.version_string}, {python}: import, bind, pose, save, load, off and on again")
+
+
+def learn(cloud: Any, rig: Any) -> None:
+    """The default weights in Blender's own Python, which has numpy and no more; said where they need more so far."""
+    try:
+        predict = part("core.skinning.learned.predict")
+    except ModuleNotFoundError as error:
+        if error.name not in ("torch", "numba", "scipy"):
+            raise
+        print(f"skip  learned weights in Blender's own Python: {error}")
+        return
+    weights, _ = predict.learned_weights(cloud, part("scene.armature").read_skeleton(rig))
+    assert weights.shape == (cloud.count, len(TURNS))
+    assert np.abs(weights.sum(axis=1) - 1).max() < 1e-4
+    head = cloud.means[:, 2] > 1.3
+    column = part("scene.armature").read_skeleton(rig).names.index("head")
+    assert weights[head, column].mean() > 0.8, "the head's splats do not follow the head"
+    print(f"ok    learned weights in Blender's own Python, {cloud.count} splats")
 
 
 def compare(splats: Any, when: str) -> None:

@@ -9,13 +9,13 @@ import subprocess
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "tools"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 from judging import COLOURS, FILLED, MOVED_SHARE, Check, print_checks
 from looks import changed, look, read
 from version_venv import Missing, make
 
+ROOT = Path(__file__).resolve().parents[2]
 VERSION = "5.3"
 PACKAGES = ("xvfb", "xauth", "libgl1-mesa-dri", "libegl1")
 
