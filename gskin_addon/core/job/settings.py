@@ -4,19 +4,21 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from ..errors import InputError
+from ..files import is_plain_name
 from ..guidance import DEFAULT_GUIDANCE, GUIDANCE
 from ..guidance.options import check_options
 from ..render.backends import AUTO, BACKENDS
 from ..skinning.fields import WEIGHT_FIELDS
+from ..skinning.fields import check_options as check_field_options
 from ..skinning.initial import DEFAULT_INITIAL, INITIAL_WEIGHTS
 from ..skinning.initial import check_options as check_initial_options
 from ..skinning.losses import LossWeights
-from ..skinning.presets import DEFAULT_PRESET, PRESETS
+from ..skinning.presets import DEFAULT_PRESET, PRESETS, preset_by_name
 from ..splats.cleanup import Hygiene
 
 FRONTS = {
@@ -30,6 +32,11 @@ FRONTS = {
 PRESET_FIELD = "preset"
 """Value of `field` for the weight field that the preset names."""
 
+Check = Callable[[str, Any], None]
+
+_LARGEST = 2**63 - 1
+_DEPTH = 8
+
 
 @dataclass(frozen=True)
 class JobSettings:
@@ -38,10 +45,10 @@ class JobSettings:
     preset, guidance, init: names in their registries; max_influences: bones per splat in the result, 0 for
     no limit; seed: of all randomness; front: a key of FRONTS; options: the guidance provider's own;
     init_options: those of the initial weights, {"model": path} for learned ones;
-    field: a name in WEIGHT_FIELDS or PRESET_FIELD; field_options: the weight field's own; mesh: file of a
-    proxy mesh in the same world space, whose vertices get the weights and carry the splats, a path or a name in
-    the job's folder; empty for none; hygiene: what to do about bad splats, see `Hygiene`; losses: factors of the
-    loss, see `LossWeights`; rasterizer: a name in BACKENDS, or "auto" for the fastest that works here.
+    field: a name in WEIGHT_FIELDS or PRESET_FIELD; field_options: the weight field's own; mesh: name of a
+    file in the job's folder with a proxy mesh in the same world space, whose vertices get the weights and carry the
+    splats (see `mesh_file`), empty for none; hygiene: what to do about bad splats, see `Hygiene`; losses: factors of
+    the loss, see `LossWeights`; rasterizer: a name in BACKENDS, or "auto" for the fastest that works here.
     """
 
     preset: str = DEFAULT_PRESET
@@ -61,41 +68,27 @@ class JobSettings:
 
     @classmethod
     def parse(cls, values: Mapping[str, Any]) -> JobSettings:
-        """Settings from job.json's table.
+        """Settings from job.json's table, which may hold anything that JSON can.
 
         Raises:
-            InputError: an unknown name or a value that is not allowed.
+            InputError: an unknown name or a value that is not allowed; says which.
         """
         known = {f.name for f in dataclasses.fields(cls)}
-        unknown = sorted(set(values) - known)
+        unknown = sorted(str(name) for name in set(values) - known)
         if unknown:
             raise InputError(
                 f"The job has unknown settings {', '.join(unknown)}; known are {', '.join(sorted(known))}."
             )
+        for name, value in values.items():
+            _check_plain(name, value)
+            CHECKS[name](name, value)
         settings = cls(**values)
-        for name, choices in (
-            ("preset", PRESETS),
-            ("guidance", GUIDANCE),
-            ("init", INITIAL_WEIGHTS),
-            ("front", FRONTS),
-            ("field", (PRESET_FIELD, *WEIGHT_FIELDS)),
-            ("rasterizer", (AUTO, *BACKENDS)),
-        ):
-            value = getattr(settings, name)
-            if value not in choices:
-                raise InputError(f"The job's {name} is '{value}'; choose one of {', '.join(choices)}.")
-        if not isinstance(settings.init_options, Mapping):
-            raise InputError(f"The job's init_options are {settings.init_options!r}; they must be a table.")
         check_initial_options(settings.init, settings.init_options)
-        if not isinstance(settings.mesh, str):
-            raise InputError(f"The job's mesh is {settings.mesh!r}; it must be the path of a mesh file.")
+        field = preset_by_name(settings.preset).field if settings.field == PRESET_FIELD else settings.field
+        check_field_options(field, settings.field_options)
         Hygiene.parse(settings.hygiene)
         check_options(settings.guidance, settings.options)
         LossWeights.parse(settings.losses)
-        for name in ("max_influences", "seed"):
-            value = getattr(settings, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-                raise InputError(f"The job's {name} is {value!r}; it must be a whole number from 0 up.")
         return settings
 
     def as_dict(self) -> dict[str, Any]:
@@ -103,3 +96,71 @@ class JobSettings:
         return {
             name: dict(value) if isinstance(value, Mapping) else value for name, value in vars(self).items()
         }
+
+
+def _one_of(*groups: Iterable[str]) -> Check:
+    """A word out of `groups`, which are looked at when a job is read."""
+
+    def check(name: str, value: Any) -> None:
+        choices = [choice for group in groups for choice in group]
+        if not isinstance(value, str) or value not in choices:
+            shown = f"'{value}'" if isinstance(value, str) else _shown(value)
+            raise InputError(f"The job's {name} is {shown}; choose one of {', '.join(choices)}.")
+
+    return check
+
+
+def _whole(name: str, value: Any) -> None:
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise InputError(f"The job's {name} is {_shown(value)}; it must be a whole number from 0 up.")
+
+
+def _table(name: str, value: Any) -> None:
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise InputError(f"The job's {name} are {_shown(value)}; they must be a table of names and values.")
+
+
+def _own_file(name: str, value: Any) -> None:
+    """A file that lies in the job's folder itself, so that a job speaks of nothing else on the disk."""
+    if not isinstance(value, str) or (value and not (is_plain_name(value) and value.endswith(".npz"))):
+        raise InputError(
+            f"The job's {name} is {_shown(value)}; it must be the name of an .npz file in the job's own folder."
+        )
+
+
+CHECKS: dict[str, Check] = {
+    "preset": _one_of(PRESETS),
+    "guidance": _one_of(GUIDANCE),
+    "init": _one_of(INITIAL_WEIGHTS),
+    "max_influences": _whole,
+    "seed": _whole,
+    "front": _one_of(FRONTS),
+    "options": _table,
+    "init_options": _table,
+    "field": _one_of((PRESET_FIELD,), WEIGHT_FIELDS),
+    "field_options": _table,
+    "mesh": _own_file,
+    "hygiene": _table,
+    "losses": _table,
+    "rasterizer": _one_of((AUTO,), BACKENDS),
+}
+"""By the name of a setting, what its value must be on its own; raises InputError."""
+
+
+def _check_plain(name: str, value: Any) -> None:
+    """Raise InputError for numbers that no arithmetic here can take, and for tables in tables without end."""
+    level = [value]
+    for _ in range(_DEPTH):
+        for item in level:
+            if isinstance(item, int | float) and not -_LARGEST <= item <= _LARGEST:
+                raise InputError(f"The job's {name} has a number that is too large or none; correct it.")
+        tables = [item for item in level if isinstance(item, Mapping | list | tuple)]
+        level = [inner for item in tables for inner in (item.values() if isinstance(item, Mapping) else item)]
+        if not level:
+            return
+    raise InputError(f"The job's {name} has lists or tables nested more than {_DEPTH} deep; correct it.")
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else text[:77] + "..."
