@@ -15,8 +15,8 @@ from typing import Any
 
 import torch
 
-from .errors import InputError
-from .files import first_line, replaced
+from .errors import InputError, first_line
+from .files import replaced
 
 FORMAT = "gskin-checkpoint-1"
 

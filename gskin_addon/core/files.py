@@ -17,7 +17,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import GSkinError
+from .errors import GSkinError, first_line
 
 FULL = {errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)}
 """errno values that mean: no room left on the disk."""
@@ -169,11 +169,6 @@ def read_arrays(
     if missing:
         raise ValueError(f"it lacks the array {', '.join(missing)}")
     return arrays
-
-
-def first_line(error: BaseException) -> str:
-    """The first line of an error's text, without its full stop, to stand inside a sentence."""
-    return str(error).strip().split("\n")[0].rstrip(".") or type(error).__name__
 
 
 def write_png(path: Path, image: NDArray[Any]) -> None:

@@ -14,8 +14,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import GSkinError, InputError
-from ..files import first_line
+from ..errors import GSkinError, InputError, first_line
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError
-from ..files import disk_error, first_line, read_arrays, write_arrays
+from ..errors import InputError, first_line
+from ..files import disk_error, read_arrays, write_arrays
 from ..rig.triangles import check_mesh
 
 Array = NDArray[Any]

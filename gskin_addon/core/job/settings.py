@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -73,6 +74,13 @@ class JobSettings:
         Raises:
             InputError: an unknown name or a value that is not allowed; says which.
         """
+        try:
+            return cls._parse(values)
+        except InputError as error:  # names and values are anybody's: the sentence stays one line
+            raise InputError(_printable(str(error))) from None
+
+    @classmethod
+    def _parse(cls, values: Mapping[str, Any]) -> JobSettings:
         known = {f.name for f in dataclasses.fields(cls)}
         unknown = sorted(str(name) for name in set(values) - known)
         if unknown:
@@ -83,12 +91,17 @@ class JobSettings:
             _check_plain(name, value)
             CHECKS[name](name, value)
         settings = cls(**values)
-        check_initial_options(settings.init, settings.init_options)
-        field = preset_by_name(settings.preset).field if settings.field == PRESET_FIELD else settings.field
-        check_field_options(field, settings.field_options)
-        Hygiene.parse(settings.hygiene)
-        check_options(settings.guidance, settings.options)
-        LossWeights.parse(settings.losses)
+        with _naming("init_options"):
+            check_initial_options(settings.init, settings.init_options)
+        with _naming("field_options"):
+            field = preset_by_name(settings.preset).field if settings.field == PRESET_FIELD else settings.field
+            check_field_options(field, settings.field_options)
+        with _naming("hygiene"):
+            Hygiene.parse(settings.hygiene)
+        with _naming("options"):
+            check_options(settings.guidance, settings.options)
+        with _naming("losses"):
+            LossWeights.parse(settings.losses)
         return settings
 
     def as_dict(self) -> dict[str, Any]:
@@ -96,6 +109,16 @@ class JobSettings:
         return {
             name: dict(value) if isinstance(value, Mapping) else value for name, value in vars(self).items()
         }
+
+
+@contextlib.contextmanager
+def _naming(name: str) -> Iterator[None]:
+    """What is wrong inside the block is wrong with the setting `name`, and says so."""
+    try:
+        yield
+    except InputError as error:
+        told = str(error)
+        raise InputError(told if name in told else f"The job's {name}: {told[:1].lower()}{told[1:]}") from None
 
 
 def _one_of(*groups: Iterable[str]) -> Check:
@@ -164,3 +187,7 @@ def _check_plain(name: str, value: Any) -> None:
 def _shown(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 80 else text[:77] + "..."
+
+
+def _printable(text: str) -> str:
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)

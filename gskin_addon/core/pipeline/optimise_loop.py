@@ -14,8 +14,8 @@ import numpy as np
 import torch
 
 from ..checkpoint import load_checkpoint, save_checkpoint
-from ..errors import InputError
-from ..files import first_line, remove_leftovers
+from ..errors import InputError, first_line
+from ..files import remove_leftovers
 from ..guidance.control import ControlSignal
 from ..skinning.optimise import PRUNE_FROM, Optimiser, look_schedule
 from ..skinning.presets import Preset

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from ...checkpoint import load_checkpoint, save_checkpoint
-from ...errors import InputError
-from ...files import first_line
+from ...errors import InputError, first_line
 from ...skinning.learned.features import NAMES, PRIOR
 from ...skinning.learned.network import Answer, Batch, PriorNetwork, Shape, make_batch
 from ...skinning.learned.tree import BONE_FEATURES
