@@ -17,8 +17,8 @@ from gskin_addon.core.job.contract import read_job
 from gskin_addon.core.job.settings import JobSettings
 from gskin_addon.operators.auto_skin import GSKIN_OT_auto_skin
 from gskin_addon.scene.splat_object import create_splat_object
-from gskin_addon.session import guidance_settings, running_job
-from gskin_addon.ui import guidance, skin_job
+from gskin_addon.session import guidance_settings, running_job, skin_job
+from gskin_addon.ui import guidance
 
 
 @pytest.fixture

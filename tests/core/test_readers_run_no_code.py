@@ -26,10 +26,11 @@ from gskin_addon.core.guidance import oracle
 from gskin_addon.core.guidance.lightning_drag.files import read_table
 from gskin_addon.core.guidance.model_files import load_tensors
 from gskin_addon.core.guidance.provider import GuidanceContext
+from gskin_addon.core.job import contract
 from gskin_addon.core.job.contract import read_job, read_result
 from gskin_addon.core.job.mesh_files import SUFFIXES, read_mesh
-from gskin_addon.core.pipeline import optimise_loop
-from gskin_addon.core.pipeline import run as pipeline
+from gskin_addon.core.job.scope import Scope, read_scope, scope_file
+from gskin_addon.core.pipeline import optimise_loop, steps
 from gskin_addon.core.pipeline.run import run
 from gskin_addon.core.rig.weights_file import read_weights_file
 from gskin_addon.core.skinning import presets
@@ -89,7 +90,7 @@ NAMES = [
     *("means", "quats", "scales", "opacities", "sh", "verts", "faces"),
     *("version", "names", "bone", "values", "view", "rest_0", "posed_0", "mask_0", "handles_0", "targets_0"),
     *("bone_parent", "bone_names", "bone_head", "bone_tail", "bone_rest", "bone_used"),
-    *("corner_rgb", "w_row", "w_col", "w_val"),
+    *("present", "only", "walls", "corner_rgb", "w_row", "w_col", "w_val"),
 ]
 
 
@@ -166,6 +167,15 @@ def test_a_mesh(put, suffix):
         pytest.importorskip("trimesh")
     with pytest.raises(InputError, match="mesh"):
         read_mesh(put(f"mesh{suffix}"))
+
+
+def test_a_scope(put, tmp_path):
+    with pytest.raises(InputError, match=r"scope\.npz"):
+        read_scope(put("scope.npz"), 3, 1)
+    scope = Scope(present=np.ones((3, 1), np.float32), walls=np.arange(3))
+    name, arrays = scope_file(scope)
+    contract.prepare_job(*jobs.rod(), {"scope": name}, files={name: arrays}).write(tmp_path / "job")
+    np.testing.assert_array_equal(read_scope(tmp_path / "job" / name, 3, 1).walls, np.arange(3))
 
 
 def test_splats(put):
@@ -285,7 +295,7 @@ TINY = presets.Preset("for tests", 2, ((32, 4),), 4, held_out=0)
 @pytest.fixture
 def small(monkeypatch):
     monkeypatch.setitem(presets.PRESETS, "draft", TINY)
-    monkeypatch.setattr(pipeline, "GUIDANCE_SIZE", 48)
+    monkeypatch.setattr(steps, "GUIDANCE_SIZE", 48)
 
 
 @pytest.mark.parametrize("name", [optimise_loop.STATE, optimise_loop.OLD_STATE])

@@ -16,10 +16,10 @@ from ..guidance.options import check_options
 from ..render.backends import AUTO, BACKENDS
 from ..skinning.fields import WEIGHT_FIELDS
 from ..skinning.fields import check_options as check_field_options
-from ..skinning.initial import DEFAULT_INITIAL, INITIAL_WEIGHTS
+from ..skinning.initial import DEFAULT_INITIAL, INITIAL_WEIGHTS, PRESENT
 from ..skinning.initial import check_options as check_initial_options
 from ..skinning.losses import LossWeights
-from ..skinning.presets import DEFAULT_PRESET, PRESETS, preset_by_name
+from ..skinning.presets import DEFAULT_PRESET, PRESETS, Preset, preset_by_name
 from ..splats.cleanup import Hygiene
 
 FRONTS = {
@@ -49,7 +49,9 @@ class JobSettings:
     field: a name in WEIGHT_FIELDS or PRESET_FIELD; field_options: the weight field's own; mesh: name of a
     file in the job's folder with a proxy mesh in the same world space, whose vertices get the weights and carry the
     splats (see `mesh_file`), empty for none; hygiene: what to do about bad splats, see `Hygiene`; losses: factors of
-    the loss, see `LossWeights`; rasterizer: a name in BACKENDS, or "auto" for the fastest that works here.
+    the loss, see `LossWeights`; scope: name of a file in the job's folder with present weights, the splats that may
+    change, and walls, see `core/job/scope.py`; empty for none; rasterizer: a name in BACKENDS, or "auto" for the
+    fastest that works here.
     """
 
     preset: str = DEFAULT_PRESET
@@ -65,6 +67,7 @@ class JobSettings:
     mesh: str = ""
     hygiene: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     losses: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    scope: str = ""
     rasterizer: str = AUTO
 
     @classmethod
@@ -91,11 +94,12 @@ class JobSettings:
             _check_plain(name, value)
             CHECKS[name](name, value)
         settings = cls(**values)
+        if settings.init == PRESENT and not settings.scope:
+            raise InputError("The job's init is 'present', but it has no scope with present weights; write the scope.")
         with _naming("init_options"):
             check_initial_options(settings.init, settings.init_options)
         with _naming("field_options"):
-            field = preset_by_name(settings.preset).field if settings.field == PRESET_FIELD else settings.field
-            check_field_options(field, settings.field_options)
+            check_field_options(settings.field_name(preset_by_name(settings.preset)), settings.field_options)
         with _naming("hygiene"):
             Hygiene.parse(settings.hygiene)
         with _naming("options"):
@@ -103,6 +107,10 @@ class JobSettings:
         with _naming("losses"):
             LossWeights.parse(settings.losses)
         return settings
+
+    def field_name(self, preset: Preset) -> str:
+        """The weight field to learn with: the one named, else the preset's."""
+        return preset.field if self.field == PRESET_FIELD else self.field
 
     def as_dict(self) -> dict[str, Any]:
         """The settings as plain values, for the report."""
@@ -154,7 +162,7 @@ def _own_file(name: str, value: Any) -> None:
 CHECKS: dict[str, Check] = {
     "preset": _one_of(PRESETS),
     "guidance": _one_of(GUIDANCE),
-    "init": _one_of(INITIAL_WEIGHTS),
+    "init": _one_of(INITIAL_WEIGHTS, (PRESENT,)),
     "max_influences": _whole,
     "seed": _whole,
     "front": _one_of(FRONTS),
@@ -165,6 +173,7 @@ CHECKS: dict[str, Check] = {
     "mesh": _own_file,
     "hygiene": _table,
     "losses": _table,
+    "scope": _own_file,
     "rasterizer": _one_of((AUTO,), BACKENDS),
 }
 """By the name of a setting, what its value must be on its own; raises InputError."""

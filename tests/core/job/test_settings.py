@@ -44,6 +44,7 @@ WHOLE = {
     "mesh": "mesh-0123456789abcdef.npz",
     "hygiene": {"ignore_strays": False, "max_aspect": 4.5},
     "losses": {"arap": 0.5, "dssim": 0.1, "arap_nodes": 3},
+    "scope": "scope-0123456789abcdef.npz",
     "rasterizer": "cpu",
 }
 TABLES = [name for name, value in WHOLE.items() if isinstance(value, dict)]
@@ -164,8 +165,9 @@ def test_what_used_to_slip_through(values, words):
      3, None, [], "x" * 400 + ".npz"],
 )  # fmt: skip
 def test_a_job_speaks_of_no_file_outside_its_folder(name):
-    with pytest.raises(InputError, match=r"mesh is .* in the job's own folder"):
-        JobSettings.parse({"mesh": name})
+    for setting in ("mesh", "scope"):
+        with pytest.raises(InputError, match=rf"{setting} is .* in the job's own folder"):
+            JobSettings.parse({setting: name})
 
 
 @pytest.mark.parametrize("name", sorted(fields.WEIGHT_FIELDS))
