@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
 from ..core.guidance.options import PROVIDER_OPTIONS, check_models, with_absolute_folders
-from ..core.job.contract import Result, write_job, write_weights
-from ..core.job.mesh_files import read_mesh, write_mesh
+from ..core.job.contract import Result, prepare_job
+from ..core.job.mesh_files import mesh_file, read_mesh
 from ..core.job.progress import ProgressEvent
 from ..core.job.progress_text import ProgressPrinter
 from ..core.job.settings import JobSettings
 from ..core.rig.lbs import sparsify
+from ..core.rig.weights_file import write_weights_file
 from ..core.splats.axes import rotate_cloud, up_rotation
 from ..core.splats.cleanup import clamp_aspect, find_faint_giants, find_strays, isotropic
 from ..core.splats.cloud import SplatCloud
@@ -72,24 +73,27 @@ def run(options: argparse.Namespace) -> None:
         "options": of_guidance,
     }
     JobSettings.parse(settings)
+    files = {}
+    if mesh is not None:
+        settings["mesh"], arrays = mesh_file(*mesh)
+        files[settings["mesh"]] = arrays
+    job = prepare_job(
+        cloud,
+        skeleton,
+        settings,
+        files=files,
+        splats=f"'{options.splats}'",
+        armature=f"Armature '{armature.name}'",
+        up=options.ply_up,
+    )
     printer = ProgressPrinter(options.progress)
     with _job_folder(options.job_dir) as folder, contextlib.closing(printer):
-        if mesh is not None:
-            settings["mesh"] = write_mesh(folder, *mesh)
-        write_job(
-            folder,
-            cloud,
-            skeleton,
-            settings,
-            splats=f"'{options.splats}'",
-            armature=f"Armature '{armature.name}'",
-            up=options.ply_up,
-        )
-        result = _work(python, folder, printer)
+        job.write(folder)
+        result = _work(python, folder, printer, options.allow_download)
         weights = sparsify(result.weights, options.max_influences)
         printer(ProgressEvent("save", 1.0, message=options.out.name))
         if options.weights is not None:
-            write_weights(options.weights, weights, skeleton, result.mesh_weights, result.confidence)
+            write_weights_file(options.weights, weights, skeleton, result.mesh_weights, result.confidence)
         obj = _bind(cloud, options.splats.stem, armature, weights, result, options.max_influences)
         # glTF knows no anchors: there the splats keep weights of their own, blended from the mesh's.
         if mesh is not None and options.out.suffix.lower() == ".blend":
@@ -156,14 +160,12 @@ def guidance_options(options: argparse.Namespace) -> dict[str, Any]:
     for name, text in texts.items():
         if isinstance(getattr(kinds(), name, None), str):
             values[name] = text  # a folder called 7 is still a name
-    if options.allow_download:
-        values["allow_download"] = True
     check_models(options.guidance, values)
     return with_absolute_folders(options.guidance, values)
 
 
-def _work(python: Path, folder: Path, printer: ProgressPrinter) -> Result:
-    client = WorkerClient(python, folder)
+def _work(python: Path, folder: Path, printer: ProgressPrinter, allow_download: bool) -> Result:
+    client = WorkerClient(python, folder, allow_download=allow_download)
     client.start()
     return client.wait(printer)
 
@@ -172,10 +174,10 @@ def _bind(
     cloud: SplatCloud, name: str, armature: object, weights: object, result: Result, influences: int
 ) -> bpy.types.Object:
     from ..scene.splat_object import create_splat_object
-    from ..scene.weights import write_weights as write_groups
+    from ..scene.weights import write_weights
 
     obj = create_splat_object(cloud, name)
-    write_groups(
+    write_weights(
         obj, armature, weights, result.bones, max_influences=influences, confidence=result.confidence
     )
     return obj

@@ -114,7 +114,12 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
             JobSettings.parse(settings)
             check_models(settings["guidance"], settings.get("options", {}))
             self._job = SkinJob.start(
-                chosen_splats(context), chosen_armature(context), settings, python, proxy_mesh(context)
+                chosen_splats(context),
+                chosen_armature(context),
+                settings,
+                python,
+                proxy_mesh(context),
+                allow_download=context.scene.gskin.models.may_download(),
             )
         except GSkinError as error:
             self._fail(context, error)

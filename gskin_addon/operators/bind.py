@@ -9,7 +9,7 @@ import bpy
 from bpy_extras.io_utils import ImportHelper
 
 from ..core.errors import GSkinError
-from ..core.job.contract import read_weights as read_weights_file
+from ..core.rig.weights_file import read_weights_file
 from ..scene.binding import bind
 from ..scene.bone_frames import armature_of
 from ..scene.influences import splats_without_bones

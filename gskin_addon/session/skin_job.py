@@ -13,9 +13,9 @@ from typing import Any
 import bpy
 
 from ..core.errors import GSkinError, InputError
-from ..core.job.contract import LOCK, fingerprint, write_job
+from ..core.job.contract import LOCK, prepare_job
 from ..core.job.lock import job_lock
-from ..core.job.mesh_files import mesh_name, write_mesh
+from ..core.job.mesh_files import mesh_file
 from ..core.job.progress import ProgressEvent
 from ..core.worker.client import WorkerClient
 from ..scene import names
@@ -56,10 +56,13 @@ class SkinJob:
         settings: dict[str, Any],
         python: Path,
         proxy: bpy.types.Object | None = None,
+        *,
+        allow_download: bool = False,
     ) -> SkinJob:
         """Write the job of these objects at rest, in world space, and start a worker on it.
 
         With `proxy`, a mesh object, the weights are learned on its vertices and the splats are anchored to it.
+        allow_download: the person agreed to fetch models that are missing; this run only, nothing keeps it.
 
         Raises:
             InputError: objects that cannot be skinned, an interpreter that cannot be started.
@@ -69,22 +72,21 @@ class SkinJob:
         cloud = read_cloud(splats)
         home = jobs_folder()
         forget_old_jobs(home)
-        mesh = None if proxy is None else read_world_mesh(proxy)
-        if mesh is not None:
-            settings = {**settings, "mesh": mesh_name(*mesh)}
-        folder = home / fingerprint(cloud, skeleton, settings)
-        write_job(
-            folder,
+        files = {}
+        if proxy is not None:
+            name, arrays = mesh_file(*read_world_mesh(proxy))
+            settings, files = {**settings, "mesh": name}, {name: arrays}
+        job = prepare_job(
             cloud,
             skeleton,
             settings,
+            files=files,
             splats=f"'{splats.name}'",
             armature=f"Armature '{armature.name}'",
             up=str(splats.data[names.MARK].get("up", "z")),
         )
-        if mesh is not None:
-            write_mesh(folder, *mesh)
-        client = WorkerClient(python, folder, gentle=not bpy.app.background)
+        folder = job.write(home / job.fingerprint)
+        client = WorkerClient(python, folder, gentle=not bpy.app.background, allow_download=allow_download)
         client.start()
         return cls(
             client,

@@ -15,8 +15,9 @@ from rig_scenes import posed_in_blender
 
 from gskin_addon import cli
 from gskin_addon.commands import rig as rig_command
-from gskin_addon.core.job.contract import Result, read_job, read_weights
+from gskin_addon.core.job.contract import Result, read_job
 from gskin_addon.core.job.mesh_files import read_mesh
+from gskin_addon.core.rig.weights_file import read_weights_file
 from gskin_addon.core.splats.ply import read_ply, write_ply
 from gskin_addon.scene.anchored import proxy_of
 from gskin_addon.scene.posing import posed_cloud
@@ -66,7 +67,7 @@ def rig(files, out, *options):
 
 def test_rigged_splats_hang_on_the_mesh_and_pose_like_the_core(files):
     assert rig(files, "out.blend", "--weights", str(files / "w.npz")) == 0
-    assert read_weights(files / "w.npz").mesh_weights.shape == (37 * 12, 3)
+    assert read_weights_file(files / "w.npz").mesh_weights.shape == (37 * 12, 3)
     turn = ["--rotate", "bone1", "0", "0", "60"]
     assert cli.main(["pose", str(files / "out.blend"), "--out", str(files / "posed.ply"), *turn]) == 0
     obj = next(obj for obj in bpy.data.objects if is_splat_object(obj))

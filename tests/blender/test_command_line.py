@@ -21,8 +21,8 @@ from PIL import Image
 
 from gskin_addon import cli
 from gskin_addon.commands import rig as rig_command
-from gskin_addon.core.job.contract import read_weights
 from gskin_addon.core.rig.quaternion import axis_angle_to_matrix
+from gskin_addon.core.rig.weights_file import read_weights_file
 from gskin_addon.core.splats.ply import read_ply, write_ply
 from gskin_addon.core.worker.client import WorkerClient
 from gskin_addon.scene.bone_frames import armature_of
@@ -107,7 +107,7 @@ def test_rig_end_to_end(rigged, files):
     assert fractions == sorted(fractions)
     assert lines[-1].startswith("300 splats follow 2 bones")
 
-    found = read_weights(weights)
+    found = read_weights_file(weights)
     assert found.bones == ("lower", "upper")
     np.testing.assert_allclose(found.heads, [[0, 0, 0], [0, 0, 1]], atol=1e-6)
     np.testing.assert_allclose(found.weights.sum(axis=1), 1, atol=1e-5)
@@ -128,7 +128,7 @@ def test_rig_end_to_end(rigged, files):
 def test_armatures_of_every_kind(name, files, pretended, tmp_path):
     out = tmp_path / "out.glb"
     assert run("rig", files / "rod.ply", "--armature", files / name, "--out", out, "--weights", tmp_path / "w.npz") == 0
-    found = read_weights(tmp_path / "w.npz")
+    found = read_weights_file(tmp_path / "w.npz")
     assert found.bones == ("lower", "upper")
     np.testing.assert_allclose(found.heads, [[0, 0, 0], [0, 0, 1]], atol=1e-4)
     np.testing.assert_allclose(found.tails[0], [0, 0, 1], atol=1e-4)
@@ -234,7 +234,7 @@ def test_pose_turns_splats_about_the_bones_head(rigged, tmp_path):
     before, after = jobs.rod(300)[0], read_ply(posed).cloud
     turn = axis_angle_to_matrix(np.array([1.0, 0, 0]), np.array(np.pi / 2))
     turned = (before.means - [0, 0, 1]) @ turn.T + [0, 0, 1]
-    share = read_weights(weights).weights[:, 1:]
+    share = read_weights_file(weights).weights[:, 1:]
     np.testing.assert_allclose(after.means, share * turned + (1 - share) * before.means, atol=1e-4)
 
 

@@ -8,7 +8,6 @@ w_val, bone_names, bone_parent, bone_head, bone_tail (B,3), bone_rest (B,4,4), b
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..files import read_arrays
 from ..rig.skeleton import Skeleton
 from ..splats.cloud import SplatCloud
 from ..splats.from_mesh import sample_mesh
@@ -88,9 +88,8 @@ def load_asset(path: Path, count: int, seed: int = 0, *, unused_bones: bool = Fa
 
 def _read(path: Path) -> dict[str, NDArray[Any]]:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            data = {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        data = read_arrays(path)
+    except (OSError, ValueError) as error:
         raise InputError(f"The asset '{path}' cannot be read ({error}); leave it out or get it again.") from None
     missing = [name for name in (*_ARRAYS, *_RIG) if name not in data]
     if missing:

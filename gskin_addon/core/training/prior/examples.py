@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError
+from ...files import read_arrays
 from ...rig.quaternion import axis_angle_to_matrix
 from ...rig.skeleton import Skeleton, parents_first
 from ...splats.cloud import SH_C0, SplatCloud
@@ -45,7 +46,7 @@ class Subject:
 def read_mesh_asset(path: Path) -> Mesh:
     """A rigged mesh of the layout in docs/training.md."""
     try:
-        data = np.load(path)
+        data = read_arrays(path)
         parent = data["bone_parent"].astype(int)
         depth = parents_first(parent)
         place = np.empty(len(depth), np.int64)
@@ -62,7 +63,7 @@ def read_mesh_asset(path: Path) -> Mesh:
         tails[short] += np.array([0.0, 0.0, 1e-3]) * np.ptp(verts, axis=0).max()
         rgb = data["corner_rgb"] / 255.0
         return Mesh(verts, data["faces"], rgb, weights, Skeleton(names, parents, heads, tails), weights.max(0) > 0.01)
-    except (OSError, ValueError, KeyError, IndexError) as error:
+    except (OSError, ValueError, TypeError, KeyError, IndexError) as error:
         raise InputError(f"'{path}' is no rigged asset ({error}); see docs/training.md.") from error
 
 
