@@ -100,7 +100,7 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
         if not self._start(context):
             return {"CANCELLED"}
         try:
-            self._job.client.wait(ProgressPrinter("lines", sys.stdout), interval=TICK)
+            self._job.wait(ProgressPrinter("lines", sys.stdout))
             return self._finish(context, self._job.apply())
         except GSkinError as error:
             return self._fail(context, error)

@@ -14,7 +14,7 @@ bpy = pytest.importorskip("bpy")
 from rig_scenes import posed_in_blender
 
 from gskin_addon import cli
-from gskin_addon.commands import rig as rig_command
+from gskin_addon.session import skin_job
 from gskin_addon.core.job.contract import Result, read_job
 from gskin_addon.core.job.mesh_files import read_mesh
 from gskin_addon.core.rig.weights_file import read_weights_file

@@ -20,7 +20,7 @@ import worker_jobs as jobs
 from PIL import Image
 
 from gskin_addon import cli
-from gskin_addon.commands import rig as rig_command
+from gskin_addon.session import skin_job
 from gskin_addon.core.rig.quaternion import axis_angle_to_matrix
 from gskin_addon.core.rig.weights_file import read_weights_file
 from gskin_addon.core.splats.ply import read_ply, write_ply
@@ -76,7 +76,7 @@ def files(tmp_path_factory):
 def pretended(monkeypatch):
     """Jobs that give every splat to the first bone, at once."""
     monkeypatch.setenv("GSKIN_PYTHON", sys.executable)
-    monkeypatch.setattr(rig_command, "WorkerClient", functools.partial(WorkerClient, program=jobs.FAKE))
+    monkeypatch.setattr(skin_job, "WorkerClient", functools.partial(WorkerClient, program=jobs.FAKE))
     return monkeypatch
 
 
