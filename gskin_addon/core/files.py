@@ -122,8 +122,8 @@ def disk_error(error: OSError, path: str | Path | None = None) -> GSkinError:
     name = str(path or error.filename or "the job folder")
     if error.errno in FULL:
         return GSkinError(
-            f"The disk is full: '{name}' could not be written; free some space and start again, "
-            "the job goes on from its last checkpoint."
+            f"The disk is full: '{name}' could not be written ({error.strerror or error}); free some space and start "
+            "again, a job goes on from its last checkpoint."
         )
     return GSkinError(f"'{name}' cannot be written ({error.strerror or error}); check the folder and its permissions.")
 

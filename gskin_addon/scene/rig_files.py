@@ -61,6 +61,7 @@ def save_blend(path: Path) -> None:
     """Save the present file at `path`, by way of a temporary file. Raises GSkinError where that fails."""
     try:
         with replaced(path, ".blend") as temporary:
+            temporary.unlink()  # Blender would keep what is there as a backup, .blend1
             bpy.ops.wm.save_as_mainfile(filepath=str(temporary), check_existing=False, copy=True, compress=True)
     except RuntimeError as error:
         raise GSkinError(f"'{path}' could not be written ({_reason(error)}); check folder and free space.") from error

@@ -46,7 +46,7 @@ def files(tmp_path, monkeypatch):
     yup = np.stack([verts[:, 0], verts[:, 2], -verts[:, 1]], axis=1)
     trimesh.Trimesh(yup, faces, process=False).export(tmp_path / "body.glb")
 
-    def work(python, folder, printer):
+    def work(python, folder, printer, allow_download):
         job = read_job(folder)
         points, _ = read_mesh(folder / job.settings["mesh"])
         weights = np.exp(-6 * np.square(points[:, :1] - [0.5, 1.5, 2.5])).astype(np.float32)
