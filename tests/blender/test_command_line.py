@@ -20,13 +20,13 @@ import worker_jobs as jobs
 from PIL import Image
 
 from gskin_addon import cli
-from gskin_addon.session import skin_job
 from gskin_addon.core.rig.quaternion import axis_angle_to_matrix
 from gskin_addon.core.rig.weights_file import read_weights_file
 from gskin_addon.core.splats.ply import read_ply, write_ply
 from gskin_addon.core.worker.client import WorkerClient
 from gskin_addon.scene.bone_frames import armature_of
 from gskin_addon.scene.splat_object import is_splat_object
+from gskin_addon.session import skin_job
 
 
 def add_armature(name: str, bones=pretend.CHAIN, deform: bool = True):
