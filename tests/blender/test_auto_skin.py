@@ -196,6 +196,7 @@ def test_objects_may_be_renamed_meanwhile(scene, monkeypatch):
     wait_for(job, "step")
     splats.name, armature.name = "New splats", "New rig"
     add_rod("Rod")  # another one takes the old name
+    (job.client.folder / "checkpoint" / "go_on").touch()
     follow(job)
     assert "'New rig'" in job.apply()
     assert splats.find_armature() == armature
