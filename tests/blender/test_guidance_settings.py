@@ -18,6 +18,7 @@ from gskin_addon.core.job.settings import JobSettings
 from gskin_addon.operators.auto_skin import GSKIN_OT_auto_skin
 from gskin_addon.scene.splat_object import create_splat_object
 from gskin_addon.session import guidance_settings, running_job, skin_job
+from gskin_addon.ui import guidance
 
 
 @pytest.fixture
@@ -123,7 +124,7 @@ class Layout:
 
 def drawn(scene) -> list[str]:
     layout = Layout()
-    scene.gskin.models.draw(layout, scene.gskin.guidance)
+    guidance.draw(layout, scene.gskin.models, scene.gskin.guidance)
     return layout.drawn
 
 

@@ -13,10 +13,10 @@ from ..guidance import DEFAULT_GUIDANCE, GUIDANCE
 from ..guidance.options import check_options
 from ..render.backends import AUTO, BACKENDS
 from ..skinning.fields import WEIGHT_FIELDS
-from ..skinning.initial import DEFAULT_INITIAL, INITIAL_WEIGHTS
+from ..skinning.initial import DEFAULT_INITIAL, INITIAL_WEIGHTS, PRESENT
 from ..skinning.initial import check_options as check_initial_options
 from ..skinning.losses import LossWeights
-from ..skinning.presets import DEFAULT_PRESET, PRESETS
+from ..skinning.presets import DEFAULT_PRESET, PRESETS, Preset
 from ..splats.cleanup import Hygiene
 
 FRONTS = {
@@ -41,7 +41,9 @@ class JobSettings:
     field: a name in WEIGHT_FIELDS or PRESET_FIELD; field_options: the weight field's own; mesh: file of a
     proxy mesh in the same world space, whose vertices get the weights and carry the splats, a path or a name in
     the job's folder; empty for none; hygiene: what to do about bad splats, see `Hygiene`; losses: factors of the
-    loss, see `LossWeights`; rasterizer: a name in BACKENDS, or "auto" for the fastest that works here.
+    loss, see `LossWeights`; scope: name of a file in the job's folder with present weights, the splats that may
+    change, and walls, see `core/job/scope.py`; empty for none; rasterizer:
+    a name in BACKENDS, or "auto" for the fastest that works here.
     """
 
     preset: str = DEFAULT_PRESET
@@ -57,6 +59,7 @@ class JobSettings:
     mesh: str = ""
     hygiene: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     losses: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    scope: str = ""
     rasterizer: str = AUTO
 
     @classmethod
@@ -76,7 +79,7 @@ class JobSettings:
         for name, choices in (
             ("preset", PRESETS),
             ("guidance", GUIDANCE),
-            ("init", INITIAL_WEIGHTS),
+            ("init", (*INITIAL_WEIGHTS, PRESENT)),
             ("front", FRONTS),
             ("field", (PRESET_FIELD, *WEIGHT_FIELDS)),
             ("rasterizer", (AUTO, *BACKENDS)),
@@ -89,6 +92,10 @@ class JobSettings:
         check_initial_options(settings.init, settings.init_options)
         if not isinstance(settings.mesh, str):
             raise InputError(f"The job's mesh is {settings.mesh!r}; it must be the path of a mesh file.")
+        if not isinstance(settings.scope, str):
+            raise InputError(f"The job's scope is {settings.scope!r}; it must be the name of a file in its folder.")
+        if settings.init == PRESENT and not settings.scope:
+            raise InputError("The job's init is 'present', but it has no scope with present weights; write the scope.")
         Hygiene.parse(settings.hygiene)
         check_options(settings.guidance, settings.options)
         LossWeights.parse(settings.losses)
@@ -97,6 +104,10 @@ class JobSettings:
             if isinstance(value, bool) or not isinstance(value, int) or value < 0:
                 raise InputError(f"The job's {name} is {value!r}; it must be a whole number from 0 up.")
         return settings
+
+    def field_name(self, preset: Preset) -> str:
+        """The weight field to learn with: the one named, else the preset's."""
+        return preset.field if self.field == PRESET_FIELD else self.field
 
     def as_dict(self) -> dict[str, Any]:
         """The settings as plain values, for the report."""

@@ -151,6 +151,15 @@ and confidence (N,) in [0, 1] or None where the method has no opinion."""
 
 DEFAULT_INITIAL = "learned"
 
+PRESENT = "present"
+"""Not a method: the weights that the splats have, which a job brings along (`core/job/scope.py`)."""
+
+
+def needs_masks(name: str) -> bool:
+    """Whether the method `name` looks at pictures of the object."""
+    return name == "visibility"
+
+
 OPTIONS: dict[str, tuple[str, ...]] = {"learned": ("model",)}
 """By name, the options that a method knows. `model`: a file made by `gskin train-prior`."""
 
@@ -184,9 +193,12 @@ def initial_with_confidence(
     name: str,
     cloud: SplatCloud,
     skeleton: Skeleton,
-    masks: Array,
+    masks: Array | None,
     cameras: Sequence[Camera],
     options: Mapping[str, Any] | None = None,
+    *,
+    walls: Array | None = None,
+    tick: Callable[[float], None] | None = None,
 ) -> tuple[Array, Array | None]:
     """As `initial_weights`, with the confidence (N,) in [0, 1] of each splat's weights where the method has one."""
     if name not in INITIAL_WEIGHTS:

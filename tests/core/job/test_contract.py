@@ -183,7 +183,7 @@ def test_full_disk_for_real(tmp_path, limit):
     # The limit on file sizes stops a write in its middle, as a full disk does; it binds one whole process.
     code = (
         "import resource, sys, pathlib, numpy as np\n"
-        "from gskin_addon.core.worker import files\n"
+        "from gskin_addon.core import files\n"
         f"resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))\n"
         "try: files.write_arrays(pathlib.Path(sys.argv[1]), {'a': np.ones(500), 'b': np.ones(5000)})\n"
         "except files.GSkinError as error: print(error)\n"

@@ -8,7 +8,7 @@ from proxy_meshes import tube
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.job.contract import read_job, read_weights, write_job, write_result, write_weights
 from gskin_addon.core.job.mesh_files import read_mesh, write_mesh
-from gskin_addon.core.pipeline import run as pipeline
+from gskin_addon.core.pipeline import steps
 from gskin_addon.core.pipeline.run import run
 from gskin_addon.core.rig.kinematics import pose_transforms
 from gskin_addon.core.rig.lbs import skin_points
@@ -25,7 +25,7 @@ def silent(*_):
 
 def test_a_job_with_a_mesh_learns_on_its_vertices(tmp_path, monkeypatch):
     monkeypatch.setitem(presets.PRESETS, "draft", TINY)
-    monkeypatch.setattr(pipeline, "GUIDANCE_SIZE", 128)
+    monkeypatch.setattr(steps, "GUIDANCE_SIZE", 128)
     limb = make_limb(1500)
     verts, faces = tube(rings=37)
     folder = tmp_path / "job"

@@ -50,7 +50,7 @@ def test_apples_gpu_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_gpu_is_taken_when_it_draws_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    with_gpu(monkeypatch, gsplat=".cpu", warp=".cpu")
+    with_gpu(monkeypatch, gsplat=".cpu.backend", warp=".cpu.backend")
     name, why = choose_backend()
     assert name == "gsplat"
     assert "a test GPU" in why
@@ -60,7 +60,7 @@ def test_a_gpu_is_taken_when_it_draws_the_same(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_a_gpu_that_draws_something_else_is_not_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
-    with_gpu(monkeypatch, warp=".cpu")
+    with_gpu(monkeypatch, warp=".cpu.backend")
     true = cpu.prepare
 
     def wrong(*args: Any, **options: Any) -> Any:
@@ -76,7 +76,7 @@ def test_a_gpu_that_draws_something_else_is_not_trusted(monkeypatch: pytest.Monk
 
 
 def test_a_gpu_that_fails_is_not_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
-    with_gpu(monkeypatch, warp=".cpu")
+    with_gpu(monkeypatch, warp=".cpu.backend")
 
     def fail(prepare: Any) -> float:
         raise RuntimeError("no kernel image is available\nmore")

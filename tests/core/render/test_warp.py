@@ -194,7 +194,7 @@ def test_wrong_shapes_are_refused() -> None:
         warp_scene(constant[0][1:], *constant[1:])
 
 
-@pytest.mark.parametrize("module", ["warp_project", "warp_tiles", "warp_blend", "warp_loss"])
+@pytest.mark.parametrize("module", ["project", "tiles", "blend", "loss_kernels"])
 def test_kernels_compile_for_cuda(module: str, tmp_path: Path) -> None:
     """With Warp's own compiler, which needs no GPU; for the oldest architecture that Warp supports and torch too."""
     import importlib
@@ -202,11 +202,11 @@ def test_kernels_compile_for_cuda(module: str, tmp_path: Path) -> None:
     import warp
 
     built = warp.compile_aot_module(
-        importlib.import_module(f"gskin_addon.core.render.{module}"), arch=75, module_dir=tmp_path, use_ptx=True
+        importlib.import_module(f"gskin_addon.core.render.warp.{module}"), arch=75, module_dir=tmp_path, use_ptx=True
     )
     code = built[0].read_bytes().decode(errors="replace")
     assert ".entry" in code
     assert ".local" not in code, "pixels of a thread left their registers"
-    if module == "warp_blend":
+    if module == "blend":
         assert "shfl.sync" in code
         assert "vote.sync" in code
