@@ -32,7 +32,7 @@ from benchmarks.markers import write_between
 from gskin_addon.core.guidance.control import make_signals
 from gskin_addon.core.guidance.oracle import Oracle
 from gskin_addon.core.guidance.provider import GuidanceContext
-from gskin_addon.core.pipeline.run import to_unit_size
+from gskin_addon.core.pipeline.steps import to_unit_size
 from gskin_addon.core.render.backends import cuda_device
 from gskin_addon.core.render.camera import paper_views, percentile_bounds
 from gskin_addon.core.render.cpu.backend import prepare
