@@ -81,7 +81,7 @@ def wrong_layers(tree: Tree) -> list[str]:
             own = found.source.split(".", 1)[1] if "." in found.source else ""
             if (own, other) not in ALLOWED:
                 wrong.append(said(tree, found))
-    return wrong
+    return list(dict.fromkeys(wrong))
 
 
 def wrong_rooms(tree: Tree) -> list[str]:
@@ -94,7 +94,7 @@ def wrong_rooms(tree: Tree) -> list[str]:
             # A room that ORDER does not name is wrong on both ends.
             if own != other and place.get(other, len(ORDER)) >= place.get(own, -1):
                 wrong.append(said(tree, found))
-    return wrong
+    return list(dict.fromkeys(wrong))
 
 
 def circle(tree: Tree) -> list[str]:
