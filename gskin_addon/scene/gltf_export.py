@@ -169,9 +169,12 @@ def hide_nodes() -> None:
 
 def show_nodes() -> None:
     """Switch on what `hide_nodes` switched off."""
+    if not _hidden:
+        return
+    present = {obj.name: obj for obj in bpy.data.objects if is_splat_object(obj)}
     while _hidden:
         object_name, modifier_name = _hidden.pop()
-        obj = bpy.data.objects.get(object_name)
+        obj = present.get(object_name)
         if obj is not None and modifier_name in obj.modifiers:
             obj.modifiers[modifier_name].show_viewport = True
 
@@ -190,14 +193,17 @@ def nodes_hidden() -> Iterator[None]:
 def _selected(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
     """Exactly these objects are selected inside the block."""
     layer = bpy.context.view_layer
-    before, active = [obj for obj in layer.objects if obj.select_get()], layer.objects.active
+    layer.update()  # objects linked just now are not among its objects before
+    # Looked up in a set: asking Blender's collection, or a list, for each object is quadratic.
+    present = set(layer.objects)
+    before, active = {obj for obj in present if obj.select_get()}, layer.objects.active
     try:
         for obj in before:
             obj.select_set(False)
         for obj in objects:
-            if obj.name in layer.objects:
+            if obj in present:
                 obj.select_set(True)
-            if obj.name not in layer.objects or not obj.select_get():
+            if obj not in present or not obj.select_get():
                 raise InputError(f"'{obj.name}' is hidden or not in the scene; show it and export again.")
         yield
     finally:

@@ -19,11 +19,13 @@ from ..core.job.mesh_files import mesh_name, write_mesh
 from ..core.job.progress import ProgressEvent
 from ..core.worker.client import WorkerClient
 from ..scene import names
-from ..scene.anchored import anchor_to_mesh, read_world_mesh
+from ..scene.anchored import read_world_mesh
 from ..scene.armature import read_skeleton
-from ..scene.proxy_object import bind_proxy
+from ..scene.object_ref import object_by_uid
+from ..scene.proxy_object import iter_write_weights_through
 from ..scene.splat_object import read_cloud, splat_count
-from ..scene.weights import write_weights
+from ..scene.steps import Steps, run_to_end
+from ..scene.weights import iter_write_weights
 
 KEPT_JOBS = 3
 """Stopped jobs that are kept, so that the same click goes on where it was."""
@@ -119,6 +121,10 @@ class SkinJob:
         Raises:
             GSkinError: the job did not end well, or the objects are not what they were; nothing is written.
         """
+        return run_to_end(self.apply_steps())
+
+    def apply_steps(self) -> Steps[str]:
+        """`apply` in slices. Only the last one changes the scene; closing it before leaves all as it was."""
         splats, armature, *proxies = self._objects()
         result = self.client.result()
         if splat_count(splats) != self.count:
@@ -126,23 +132,16 @@ class SkinJob:
                 f"'{splats.name}' had {self.count} splats when the job started, now {splat_count(splats)}; "
                 "run Auto-Skin again."
             )
-        for proxy in proxies:
-            bind_proxy(proxy, armature, result.mesh_weights, result.bones)
-        write_weights(
-            splats,
-            armature,
-            result.weights,
-            result.bones,
-            max_influences=self.max_influences,
-            confidence=result.confidence,
-        )
-        for proxy in proxies:
-            anchor_to_mesh(splats, proxy)
+        name = armature.name
+        options: dict[str, Any] = {"max_influences": self.max_influences, "confidence": result.confidence}
+        if proxies:
+            given = (splats, *proxies, armature, result.weights, result.mesh_weights, result.bones)
+            yield from iter_write_weights_through(*given, **options)
+        else:
+            yield from iter_write_weights(splats, armature, result.weights, result.bones, **options)
         shutil.rmtree(self.client.folder, ignore_errors=True)
         seconds = time.monotonic() - self.started
-        words = (
-            f"{self.count:,} splats follow {len(result.bones)} bones of '{armature.name}' ({seconds:.0f} s)"
-        )
+        words = f"{self.count:,} splats follow {len(result.bones)} bones of '{name}' ({seconds:.0f} s)"
         summary = result.report.get("summary")
         return f"{words}; {summary}" if isinstance(summary, str) and summary else words
 
@@ -193,7 +192,5 @@ def forget_old_jobs(home: Path, keep: int = KEPT_JOBS) -> None:
 
 def _object_by_uid(uid: int, name: str) -> bpy.types.Object | None:
     """The object, whatever it is called now; None when it is gone or in no scene, as deleted ones are."""
-    obj = bpy.data.objects.get(name)
-    if obj is None or obj.session_uid != uid:
-        obj = next((other for other in bpy.data.objects if other.session_uid == uid), None)
+    obj = object_by_uid(uid, name)
     return obj if obj is not None and obj.users_scene else None

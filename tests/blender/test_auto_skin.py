@@ -401,7 +401,7 @@ def test_only_so_many_stopped_jobs_are_kept(scene, tmp_path):
 class Operator:
     """The operator's own methods on an object that Python may make."""
 
-    _job = _timer = None
+    _job = _timer = _writing = None
 
     def __init__(self) -> None:
         self.reports: list[tuple[str, str]] = []
@@ -410,7 +410,7 @@ class Operator:
         self.reports.append((next(iter(kind)), text))
 
 
-for name in ("modal", "cancel", "_start", "_finish", "_fail", "_leave"):
+for name in ("modal", "cancel", "_start", "_write", "_finish", "_fail", "_leave"):
     setattr(Operator, name, GSKIN_OT_auto_skin.__dict__[name])
 
 TIMER = SimpleNamespace(type="TIMER", value="NOTHING")
@@ -454,6 +454,57 @@ def test_escape_cancels(scene, monkeypatch):
     assert until_it_ends(operator) == {"CANCELLED"}
     assert operator.reports == [("WARNING", "The job was cancelled.")]
     assert untouched(splats)
+
+
+def until_writing(operator) -> None:
+    """The job has ended and some slices of the weights are done, each tick one."""
+    until = time.monotonic() + 30
+    while operator._writing is None:
+        assert operator.modal(bpy.context, TIMER) == {"PASS_THROUGH"}
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+def test_weights_are_written_by_ticks_and_nobody_edits_meanwhile(scene, monkeypatch):
+    monkeypatch.setattr(auto_skin, "WRITING", 0.0)
+    splats, armature = add_rod(), add_armature()
+    choose(splats, armature)
+    operator, ticks = Operator(), 1
+    assert operator._start(bpy.context)
+    until_writing(operator)
+    assert operator.modal(bpy.context, OTHER) == {"RUNNING_MODAL"}
+    assert "Writing the weights" in operator._job.progress.message
+    while (answer := operator.modal(bpy.context, TIMER)) == {"PASS_THROUGH"}:
+        assert untouched(splats)
+        ticks += 1
+    assert answer == {"FINISHED"}
+    assert ticks >= 3
+    assert splats.find_armature() == armature
+    assert "200 splats follow 2 bones of 'Rig'" in operator.reports[-1][1]
+
+
+@pytest.mark.parametrize("how", ["escape", "another file", "a fault"])
+def test_stopped_in_the_middle_of_writing_nothing_is_written(scene, monkeypatch, how):
+    monkeypatch.setattr(auto_skin, "WRITING", 0.0)
+    splats = add_rod()
+    choose(splats, add_armature())
+    before = {obj.name for obj in bpy.data.objects}, {mesh.name for mesh in bpy.data.meshes}
+    operator = Operator()
+    assert operator._start(bpy.context)
+    until_writing(operator)
+    if how == "escape":
+        assert operator.modal(bpy.context, ESCAPE) == {"RUNNING_MODAL"}
+        assert operator.modal(bpy.context, TIMER) == {"CANCELLED"}
+        assert operator.reports == [("WARNING", "The job was cancelled.")]
+    elif how == "another file":
+        operator.cancel(bpy.context)
+    else:
+        monkeypatch.setattr(auto_skin, "run_for", None)
+        with pytest.raises(TypeError):
+            operator.modal(bpy.context, TIMER)
+    assert untouched(splats)
+    assert ({obj.name for obj in bpy.data.objects}, {mesh.name for mesh in bpy.data.meshes}) == before
+    assert running_job.state.job is None
 
 
 def test_another_file_or_disabling_the_addon_stops_the_worker(scene, monkeypatch):

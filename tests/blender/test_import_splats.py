@@ -123,6 +123,16 @@ def test_bind_with_groups_that_are_there(rig):
     rigs.assert_same_pose(obj, armature)
 
 
+def test_bind_without_weights_does_not_say_that_splats_follow(rig, capfd):
+    obj, armature, _, _ = rig
+    assert bpy.ops.gskin.bind_to_armature() == {"FINISHED"}
+    assert "60 of 60 splats have no weights for bones of 'Rig' and stay" in capfd.readouterr().out
+    for bone in armature.data.bones:
+        obj.vertex_groups.new(name=bone.name).add([*range(50)], 0.5, "REPLACE")
+    bpy.ops.gskin.bind_to_armature()
+    assert "10 of 60 splats" in capfd.readouterr().out
+
+
 def test_bind_says_what_is_missing(rig):
     _, armature, _, _ = rig
     bpy.data.objects.remove(armature)
