@@ -20,8 +20,9 @@ from ...rig.skeleton import Skeleton
 from ...skinning.learned.describe import look_at
 from ...skinning.learned.features import NAMES
 from ...skinning.learned.parts import neighbourhoods
+from ..rigged import RiggedMesh
 from . import creatures
-from .examples import Mesh, Subject, cover, disturb, only_used, read_mesh_asset
+from .examples import Subject, cover, disturb, only_used, read_mesh_asset
 from .proportions import reshape
 
 Array = NDArray[Any]
@@ -142,7 +143,7 @@ def asset_lesson(npz: Path, name: str, variant: int, cache: Path) -> Path:
     return path
 
 
-def _plain(mesh: Mesh, rng: np.random.Generator) -> Subject:
+def _plain(mesh: RiggedMesh, rng: np.random.Generator) -> Subject:
     skeleton, weights = only_used(mesh.skeleton, mesh.weights, mesh.used)
     from ...splats.from_mesh import sample_mesh
 
