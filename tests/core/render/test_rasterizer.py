@@ -11,8 +11,9 @@ import torch
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.render import reference
 from gskin_addon.core.render.camera import look_at
-from gskin_addon.core.render.cpu.backend import CpuScene, morton_order, prepare
+from gskin_addon.core.render.cpu.backend import CpuScene, prepare
 from gskin_addon.core.render.rasterizer import rasterize, resolve_backend
+from gskin_addon.core.splats.morton import morton_order
 
 _spec = importlib.util.spec_from_file_location("render_scenes", Path(__file__).with_name("scenes.py"))
 assert _spec is not None

@@ -25,6 +25,9 @@ WEIGHT_FIELDS = {
 }
 DEFAULT_FIELD = "pyramid"
 
+LOG_FLOOR = 1e-4
+"""Least initial weight. Eq. (7) gives far bones about 1e-6; their logits must stay within reach of Adam."""
+
 
 def create_field(
     name: str, points: NDArray[Any], initial: NDArray[Any], options: Mapping[str, Any] | None = None
