@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from itertools import product
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
@@ -36,8 +36,11 @@ _POINTS = 50_000  # at a time
 _STEPS = np.array(list(product((-1, 0, 1), repeat=3)))
 """The 27 steps to a voxel and its neighbours; the voxel itself is number 13."""
 
-_LENGTHS = np.sqrt(np.square(_STEPS).sum(axis=1)).astype(np.float32)
-_SLACK = np.float32(1e-4)  # voxels by which a way must be shorter to count: equal ways differ by rounding
+_UNIT = np.float32(4096)
+"""Lengths are whole parts of a voxel, so many to one, rounded down: sums of the same steps are then equal in whatever order, and
+bones that are equally far stay so in whatever unit."""
+
+_LENGTHS = (np.floor(np.sqrt(np.square(_STEPS).sum(axis=1)) * _UNIT) / _UNIT).astype(np.float32)
 
 
 def geodesic_distances(
@@ -169,7 +172,7 @@ def _bridges(nodes: Array, further: Array, walls: Array | None) -> tuple[Array, 
     source, target = source[order], target[order]
     np.cumsum(np.bincount(source, minlength=count), out=start[1:])
     length = np.linalg.norm((nodes[source] - nodes[target]).astype(np.float64), axis=1)
-    return start, target, length.astype(np.float32)
+    return start, target, _rounded(length)
 
 
 @dataclass(frozen=True)
@@ -200,7 +203,7 @@ class _Bones:
             gap[outer] = 1.5 * nearest_points(centres, np.floor(places[outer]) + 0.5, 1)[0][:, 0] + 1.0
         reach = np.linalg.norm(body.nodes[node] + 0.5 - places, axis=1)
         cuts = np.cumsum(steps)[:-1]
-        parts = (np.split(a, cuts) for a in (gap.astype(np.float32), node, reach.astype(np.float32)))
+        parts = (np.split(a, cuts) for a in (gap.astype(np.float32), node, _rounded(reach)))
         return cls(heads, axes, *parts)
 
     def closest(self, bone: int, places: Array) -> tuple[Array, Array, Array]:
@@ -259,7 +262,7 @@ def _in_sight(body: _Inside, bones: _Bones, bone: int) -> tuple[Array, Array]:
     """
     count = body.count
     way, length, allowance = bones.closest(bone, body.centres)
-    after = _first_step(body, np.arange(count), np.float32(0.5), way, length)
+    after = _first_step(body, np.arange(count), np.full((3, 1), 0.5, np.float32), way, length)
     end = np.where(length <= 1, count, after)
     # Beyond the last solid voxel only the rest of the way to a bone outside may lie, and not for long.
     end[(after == count) & ((allowance <= 0) | (length - 1 > allowance))] = count + 1
@@ -280,7 +283,7 @@ def _fill(body: _Inside, places: _Places, bones: _Bones, block: range, out: Arra
     grid = np.zeros(body.grid.shape, bool)
     for row, bone in enumerate(block):
         length, seen = _in_sight(body, bones, bone)
-        distance[row, :count][seen], sight[row, :count] = length[seen], seen
+        distance[row, :count][seen], sight[row, :count] = _rounded(length[seen]), seen
         grid[body.grid.solid] = ~seen
         rim[row] = seen & (dilate(grid)[body.grid.solid] | hangs)
         tick(0.3 * (row + 1) / len(block))
@@ -309,6 +312,11 @@ def _fill(body: _Inside, places: _Places, bones: _Bones, block: range, out: Arra
             part((first + (row + 1) / len(block) * len(own)) / len(places.points))
 
 
+def _rounded(length: Array) -> Array:
+    """See `_UNIT`; float32."""
+    return (np.floor(length * _UNIT) / _UNIT).astype(np.float32)
+
+
 def _spread(body: _Inside, bones: _Bones, block: range, distance: Array, rim: Array, tick: Tick) -> None:
     """Fill distance (B, M + 2), which is infinite where a bone of the block is not in sight, by shortest paths.
 
@@ -329,7 +337,7 @@ def _spread(body: _Inside, bones: _Bones, block: range, distance: Array, rim: Ar
         if high - low > 4:
             order = np.argsort(bucket, kind="stable")
             cuts = np.searchsorted(bucket[order], np.arange(low, high + 2))
-            for number, (a, b) in enumerate(zip(cuts[:-1], cuts[1:], strict=True)):
+            for number, (a, b) in enumerate(pairwise(cuts.tolist())):
                 if b > a:
                     waiting.setdefault(low + number, []).append(pairs[order[a:b]])
         else:
@@ -342,8 +350,8 @@ def _spread(body: _Inside, bones: _Bones, block: range, distance: Array, rim: Ar
         fresh = bones.reach[bone] < flat[at]
         np.minimum.at(flat, at[fresh], bones.reach[bone][fresh])
         seeds.append(at[fresh])
-    row, node = np.nonzero(rim)
-    put(np.concatenate([row * width + node, np.unique(np.concatenate(seeds))]))
+    rows, nodes = np.nonzero(rim)
+    put(np.concatenate([rows * width + nodes, np.unique(np.concatenate(seeds))]))
     distance[:, count:] = -np.inf  # never reached
     settled = np.zeros(flat.shape, bool)
     stamp = np.empty(flat.shape, np.int32)
@@ -359,10 +367,11 @@ def _spread(body: _Inside, bones: _Bones, block: range, distance: Array, rim: Ar
         done += len(pairs)
         for first in range(0, len(pairs), 8192):
             some = pairs[first : first + 8192]
-            row, node = some // width, some % width
+            base = some // width * width
+            node = some - base
             way = flat[some] + _LENGTHS[:, None]
-            to = body.further[:, node] + row * width
-            better = way < flat[to] - _SLACK
+            to = body.further[:, node] + base
+            better = way < flat[to]
             to, way = to[better], way[better]
             np.minimum.at(flat, to, way)
             put(to)
@@ -371,8 +380,8 @@ def _spread(body: _Inside, bones: _Bones, block: range, distance: Array, rim: Ar
                 edges = start[node[hanging] + 1] - start[node[hanging]]
                 edge = np.repeat(start[node[hanging]] - np.cumsum(edges) + edges, edges) + np.arange(edges.sum())
                 source = np.repeat(hanging, edges)
-                to, way = target[edge] + row[source] * width, flat[some[source]] + length[edge]
-                better = way < flat[to] - _SLACK
+                to, way = target[edge] + base[source], flat[some[source]] + length[edge]
+                better = way < flat[to]
                 np.minimum.at(flat, to[better], way[better])
                 put(to[better])
         tick(min(1.0, done / (0.8 * len(block) * count)))

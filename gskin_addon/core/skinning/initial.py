@@ -68,6 +68,8 @@ def initial_weights_visibility(
     cameras: Sequence[Camera],
     gamma: float = GAMMA,
     delta: float = DELTA,
+    *,
+    tick: Tick = silent,
 ) -> Array:
     """The paper's initial weights: Euclidean distance to the bones, `delta` more where a bone is not visible.
 
@@ -79,7 +81,7 @@ def initial_weights_visibility(
     from .visibility import bone_visibility
 
     _, diagonal = unit_frame(means)
-    squared, visible = bone_visibility(means, skeleton, masks, cameras)
+    squared, visible = bone_visibility(means, skeleton, masks, cameras, tick=tick)
     return falloff_weights(squared / diagonal**2 + np.where(visible, 0, delta), gamma)
 
 
@@ -119,7 +121,7 @@ def _visibility(
     cloud: SplatCloud, skeleton: Skeleton, masks: Array, cameras: Sequence[Camera], options: Mapping[str, Any],
     walls: Array | None, tick: Tick,
 ) -> tuple[Array, None]:  # fmt: skip
-    return initial_weights_visibility(cloud.means, skeleton, masks, cameras), None
+    return initial_weights_visibility(cloud.means, skeleton, masks, cameras, tick=tick), None
 
 
 def _geodesic(
@@ -157,8 +159,8 @@ INITIAL_WEIGHTS: dict[str, InitialWeights] = {
     "geodesic": _geodesic,
     "heat": _heat,
 }
-"""By name: (cloud, skeleton, masks (V, H, W) bool, cameras, options, walls, tick) -> weights (N, B) float32 whose rows sum to 1,
-and confidence (N,) in [0, 1] or None where the method has no opinion."""
+"""By name: (cloud, skeleton, masks (V, H, W) bool, cameras, options, walls, tick) -> weights (N, B) float32 whose rows
+sum to 1, and confidence (N,) in [0, 1] or None where the method has no opinion."""
 
 DEFAULT_INITIAL = "learned"
 

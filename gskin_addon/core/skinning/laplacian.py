@@ -70,5 +70,6 @@ class GraphLaplacian:
     def _times(self, own: Array, x: Array) -> Array:
         out = own * x
         for column in self._columns:
-            out[: len(column)] -= np.take(x, column, axis=0)
+            some = out[: len(column)]
+            np.subtract(some, np.take(x, column, axis=0), out=some)
         return out

@@ -137,9 +137,9 @@ class PriorNetwork:
 
     def norm(self, name: str, x: Array) -> Array:
         """The last axis of x with mean 0 and variance 1, then scaled and moved."""
-        out = x - x.mean(axis=-1, keepdims=True)
-        variance = np.einsum("...k,...k->...", out, out)[..., None] / np.float32(x.shape[-1])
-        out *= 1 / np.sqrt(variance + _EPSILON)
+        out = x - (_sum(x) / np.float32(x.shape[-1]))[..., None]
+        variance = np.einsum("...k,...k->...", out, out) / np.float32(x.shape[-1])
+        out *= (1 / np.sqrt(variance + _EPSILON))[..., None]
         out *= self.parameters[f"{name}.weight"]
         out += self.parameters[f"{name}.bias"]
         return out
@@ -253,10 +253,19 @@ class _Pass:
 
 
 def softmax(x: Array) -> Array:
-    """Shares along the last axis; float32."""
-    out = np.exp(x - x.max(axis=-1, keepdims=True))
-    out /= out.sum(axis=-1, keepdims=True)
+    """Shares along the last axis, which is short; float32."""
+    most = x[..., 0].copy()
+    for k in range(1, x.shape[-1]):
+        np.maximum(most, x[..., k], out=most)
+    out = x - most[..., None]
+    np.exp(out, out=out)
+    out *= (1 / _sum(out))[..., None]
     return out
+
+
+def _sum(x: Array) -> Array:
+    """Along the last axis; a product with ones, since numpy's own sum is slow along a short axis."""
+    return np.asarray(x @ np.ones(x.shape[-1], np.float32))
 
 
 def _mix(share: Array, seen: Array) -> Array:

@@ -85,12 +85,12 @@ def predict_nodes(
 ) -> tuple[Array, Array]:
     """Weights (M, B) and confidence (M,) of a body all of whose splats are described; the mean of the networks."""
     described = body.description
-    final, doubt = np.float32(0), np.float32(0)
+    final, doubt = np.zeros(described.bone.shape, np.float32), np.zeros(len(described.bone), np.float32)
     for number, network in enumerate(networks):
         part = stretch(tick, number / len(networks), (number + 1) / len(networks))
         answer = network(described, body.parts, part)
-        final = final + answer.final
-        doubt = doubt + 1 / (1 + np.exp(-answer.doubt))
+        final += answer.final
+        doubt += 1 / (1 + np.exp(-answer.doubt))
     heat = described.values[..., PRIOR] * (described.bone >= 0)
     share = softmax((1 - CAUTION) / len(networks) * final + CAUTION * heat)
     weights = np.zeros((len(share), bones), np.float32)
@@ -108,7 +108,7 @@ def spread(
     walls: Array | None = None,
     tick: Tick = silent,
 ) -> tuple[Array, Array]:
-    """From the nodes to all splats: means over the nearest nodes, of like colour and on this side of any gap or wall."""
+    """From the nodes to all splats: means over the nearest nodes, of like colour and on this side of gaps and walls."""
     if len(body.index) == cloud.count:
         return weights, confidence
     colors = cloud.base_colors()

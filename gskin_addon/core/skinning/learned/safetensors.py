@@ -43,17 +43,17 @@ def read_safetensors(path: Path, *, tensors: bool = True) -> tuple[dict[str, str
 
 
 def _tensor(name: str, entry: Any, data: bytes) -> NDArray[Any]:
-    if not isinstance(entry, dict) or entry.get("dtype") not in _TYPES:
+    if not isinstance(entry, dict) or str(entry.get("dtype")) not in _TYPES:
         raise ValueError(f"'{name}' has no known type")
-    dtype = np.dtype(_TYPES[entry["dtype"]])
-    shape, offsets = entry.get("shape"), entry.get("data_offsets")
-    if not _are_counts(shape) or not _are_counts(offsets) or len(offsets) != 2:
-        raise ValueError(f"'{name}' has no shape or place")
-    begin, end = offsets
+    dtype = np.dtype(_TYPES[str(entry["dtype"])])
+    shape: list[int] = _counts(name, entry.get("shape"))
+    begin, end = _counts(name, entry.get("data_offsets"))
     if not begin <= end <= len(data) or end - begin != math.prod(shape) * dtype.itemsize:
         raise ValueError(f"'{name}' does not lie in the file as its shape says")
     return np.frombuffer(data[begin:end], dtype).reshape(shape)
 
 
-def _are_counts(values: Any) -> bool:
-    return isinstance(values, list) and all(type(value) is int and value >= 0 for value in values)
+def _counts(name: str, values: Any) -> list[int]:
+    if not isinstance(values, list) or not all(type(value) is int and value >= 0 for value in values):
+        raise ValueError(f"'{name}' has no shape or place")
+    return values
