@@ -20,31 +20,24 @@ def bridge_pieces(points: Array, piece: Array, walls: Array | None = None, *, be
     again (Boruvka 1926).
 
     points (N, 3); piece (N,): labels; walls (N,): labels, see `walls`. A gap across a wall serves only where
-    a piece has no other. Of each gap one edge, the shortest; or, with `beside` > 0, all from points of the smaller
-    piece to the nearest of the others that are at most 1.5 times as long plus `beside`.
+    a piece has no other. Of each gap one edge, the shortest; or, with `beside` > 0 and no wall, all from points of the
+    smaller piece to the nearest of the others that are at most 1.5 times as long plus `beside`.
     """
     piece = np.unique(piece, return_inverse=True)[1].reshape(-1)
     edges = [np.zeros((0, 2), np.int64)]
     while (count := int(piece.max(initial=0)) + 1) > 1:
-        size = np.bincount(piece)
-        small = piece != size.argmax()
-        way, other = _nearest_elsewhere(points, piece, np.flatnonzero(small), walls)
-        if walls is not None:
-            stuck = np.full(count, np.inf)
-            np.minimum.at(stuck, piece[small], way)
-            lost = small & np.isinf(stuck)[piece]
-            if lost.any():
-                place = np.flatnonzero(small)
-                way[lost[place]], other[lost[place]] = _nearest_elsewhere(points, piece, np.flatnonzero(lost), None)
-        source = np.flatnonzero(small)
+        source = np.flatnonzero(piece != np.bincount(piece).argmax())
+        way, other = _nearest_elsewhere(points, piece, source, walls)
         shortest = np.full(count, np.inf)
         np.minimum.at(shortest, piece[source], way)
+        lost = np.isinf(shortest)[piece[source]]
+        if lost.any():
+            way[lost], other[lost] = _nearest_elsewhere(points, piece, source[lost], None)
+        order = np.lexsort((way, piece[source]))
+        chosen = np.zeros(len(source), bool)
+        chosen[order[np.append(True, np.diff(piece[source][order]) > 0)]] = True
         if beside > 0:
-            chosen = np.isfinite(way) & (way <= 1.5 * shortest[piece[source]] + beside)
-        else:
-            order = np.lexsort((way, piece[source]))
-            chosen = np.zeros(len(source), bool)
-            chosen[order[np.append(True, np.diff(piece[source][order]) > 0)]] = True
+            chosen |= ~lost & np.isfinite(way) & (way <= 1.5 * shortest[piece[source]] + beside)
         added = np.stack([source[chosen], other[chosen]], axis=1)
         edges.append(added)
         joined = connected_components(count, piece[added[:, 0]], piece[added[:, 1]])

@@ -37,8 +37,8 @@ _STEPS = np.array(list(product((-1, 0, 1), repeat=3)))
 """The 27 steps to a voxel and its neighbours; the voxel itself is number 13."""
 
 _UNIT = np.float32(4096)
-"""Lengths are whole parts of a voxel, so many to one, rounded down: sums of the same steps are then equal in whatever order, and
-bones that are equally far stay so in whatever unit."""
+"""Lengths are whole parts of a voxel, so many to one, rounded down: sums of the same steps are then equal in whatever
+order, and bones that are equally far stay so in whatever unit."""
 
 _LENGTHS = (np.floor(np.sqrt(np.square(_STEPS).sum(axis=1)) * _UNIT) / _UNIT).astype(np.float32)
 
@@ -178,13 +178,15 @@ def _bridges(nodes: Array, further: Array, walls: Array | None) -> tuple[Array, 
 @dataclass(frozen=True)
 class _Bones:
     """heads and axes (B, 3) in voxels; for each bone, at even steps from head to tail: allowance (S,), how long the
-    last stretch of a way may lead through the air; seeds (S,) the nearest nodes, and reach (S,) the ways to them."""
+    last stretch of a way may lead through the air; seeds (S,) the nearest nodes, and reach (S,) the ways to them; labels
+    (S,) of those nodes, where there are walls."""
 
     heads: Array
     axes: Array
     allowance: list[Array]
     seeds: list[Array]
     reach: list[Array]
+    labels: list[Array] | None
 
     @classmethod
     def of(cls, body: _Inside, heads: Array, tails: Array) -> _Bones:
@@ -204,10 +206,14 @@ class _Bones:
         reach = np.linalg.norm(body.nodes[node] + 0.5 - places, axis=1)
         cuts = np.cumsum(steps)[:-1]
         parts = (np.split(a, cuts) for a in (gap.astype(np.float32), node, _rounded(reach)))
-        return cls(heads, axes, *parts)
+        labels = None if body.walls is None else np.split(body.walls[node], cuts)
+        return cls(heads, axes, *parts, labels)
 
-    def closest(self, bone: int, places: Array) -> tuple[Array, Array, Array]:
-        """Ways (3, K) from places (3, K) to the closest points of a bone, their lengths (K,), and the allowances."""
+    def closest(self, bone: int, places: Array, own: Array | None) -> tuple[Array, Array, Array]:
+        """Ways (3, K) from places (3, K) to the closest points of a bone, their lengths (K,), and the allowances (K,).
+
+        own (K,): labels of the places. A bone in the air is beyond a wall if the node nearest to it is.
+        """
         dtype = places.dtype
         head, axis = self.heads[bone].astype(dtype), self.axes[bone].astype(dtype)
         way = head[:, None] - places
@@ -218,7 +224,11 @@ class _Bones:
         table = self.allowance[bone]
         if not table.any():
             return way, length, np.zeros(1, dtype)
-        return way, length, table[np.rint(along * (len(table) - 1)).astype(np.int64)]
+        at = np.rint(along * (len(table) - 1)).astype(np.int64)
+        allowance = table[at]
+        if own is not None and self.labels is not None:
+            allowance[blocked(own, self.labels[bone][at])] = 0
+        return way, length, allowance
 
 
 @dataclass(frozen=True)
@@ -261,7 +271,7 @@ def _in_sight(body: _Inside, bones: _Bones, bone: int) -> tuple[Array, Array]:
     A node sees the bone if the next one on the way there does, a voxel further on.
     """
     count = body.count
-    way, length, allowance = bones.closest(bone, body.centres)
+    way, length, allowance = bones.closest(bone, body.centres, body.walls)
     after = _first_step(body, np.arange(count), np.full((3, 1), 0.5, np.float32), way, length)
     end = np.where(length <= 1, count, after)
     # Beyond the last solid voxel only the rest of the way to a bone outside may lie, and not for long.
@@ -293,6 +303,7 @@ def _fill(body: _Inside, places: _Places, bones: _Bones, block: range, out: Arra
     for first in range(0, len(places.points), _POINTS):
         rows = slice(first, first + _POINTS)
         own = places.own[rows]
+        labels = None if body.walls is None else body.walls[own]
         points = np.ascontiguousarray(places.points[rows].T)
         offset = points - body.nodes[own].T
         near = body.further[:, own]
@@ -302,7 +313,7 @@ def _fill(body: _Inside, places: _Places, bones: _Bones, block: range, out: Arra
         outside = ~places.inside[rows]
         reach[:13, outside] = reach[14:, outside] = np.inf
         for row, bone in enumerate(block):
-            way, length, allowance = bones.closest(bone, points)
+            way, length, allowance = bones.closest(bone, points, labels)
             after = _first_step(body, own, np.where(outside, 0.5, offset), way, length)
             seen = sight[row][after] | ((after < count) & (length <= 1))
             seen |= (after == count) & (allowance > 0) & (length - 1 <= allowance)
