@@ -178,8 +178,8 @@ def _bridges(nodes: Array, further: Array, walls: Array | None) -> tuple[Array, 
 @dataclass(frozen=True)
 class _Bones:
     """heads and axes (B, 3) in voxels; for each bone, at even steps from head to tail: allowance (S,), how long the
-    last stretch of a way may lead through the air; seeds (S,) the nearest nodes, and reach (S,) the ways to them; labels
-    (S,) of those nodes, where there are walls."""
+    last stretch of a way may lead through the air; seeds (S,) the nearest nodes, and reach (S,) the ways to them;
+    labels (S,) of those nodes, where there are walls."""
 
     heads: Array
     axes: Array

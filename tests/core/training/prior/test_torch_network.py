@@ -8,9 +8,8 @@ import numpy as np
 import torch
 
 from gskin_addon.core.rig.bone_roles import ROLES
-from gskin_addon.core.skinning.learned.features import NAMES, TOKENS
 from gskin_addon.core.skinning.learned import network as in_numpy
-from gskin_addon.core.skinning.learned.features import Description
+from gskin_addon.core.skinning.learned.features import NAMES, TOKENS, Description
 from gskin_addon.core.skinning.learned.network import Shape, parameter_shapes
 from gskin_addon.core.skinning.learned.parts import Parts
 from gskin_addon.core.skinning.learned.tree import kinship
