@@ -30,7 +30,8 @@ LAYERS = {
 ALLOWED = {("operators.command_line", "cli")}  # Blender's own command line is registered as an operator is
 
 ORDER = (
-    ("errors",), ("files",), ("checkpoint",), ("splats",), ("rig",), ("render",), ("skinning",), ("guidance",), ("job",), ("pipeline",),
+    ("errors",), ("ticks",), ("files",), ("checkpoint",), ("splats",), ("rig",), ("render",), ("skinning",), ("guidance",),
+    ("job",), ("pipeline",),
     ("training", "worker"),
 )  # fmt: skip
 """The rooms of core: each may import those before it, not those beside or after it."""

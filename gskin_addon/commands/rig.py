@@ -24,7 +24,7 @@ from ..core.splats.axes import rotate_cloud, up_rotation
 from ..core.splats.cleanup import clamp_aspect, find_faint_giants, find_strays, isotropic
 from ..core.splats.cloud import SplatCloud
 from ..core.splats.ply import read_ply
-from ..core.worker.interpreter import find_worker_python
+from ..core.worker.own_python import job_python
 from .blender import require_bpy
 from .console import say
 from .paths import check_output, same_file
@@ -42,12 +42,6 @@ def run(options: argparse.Namespace) -> None:
     for given in (options.armature, options.splats, *([options.mesh] if options.mesh else [])):
         if same_file(given, options.out):
             raise InputError(f"--out '{options.out}' would overwrite its own input; choose another name.")
-    python = find_worker_python(options.python)
-    if python is None:
-        raise InputError(
-            "No Python with torch was found for the worker; name one with --python or GSKIN_PYTHON "
-            "(pip install 'gskin_addon[worker]' makes one)."
-        )
     cloud = read_splats(options.splats, options.ply_up, options.drop_invalid)
     cloud = clean(cloud, options.drop_strays, options.max_aspect, options.isotropic)
     mesh = None if options.mesh is None else read_proxy(options.mesh, options.mesh_up)
@@ -64,7 +58,8 @@ def run(options: argparse.Namespace) -> None:
         "init_options": {"model": str(options.init_model.absolute())} if options.init_model else {},
         "options": of_guidance,
     }
-    JobSettings.parse(settings)
+    needs_runtime = JobSettings.parse(settings).needs_runtime or options.mesh is not None
+    python = job_python(needs_runtime, options.python or "")
 
     require_bpy()
     from ..scene import names, rig_files

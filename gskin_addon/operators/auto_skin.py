@@ -15,7 +15,7 @@ from ..core.job.settings import JobSettings
 from ..scene.steps import Steps, run_for
 from ..session import running_job, status_bar
 from ..session.chosen import chosen_armature, chosen_splats, proxy_mesh
-from ..session.preferences import worker_python
+from ..session.preferences import job_python
 from ..session.readiness import what_is_missing
 from ..session.skin_job import SkinJob
 
@@ -109,7 +109,7 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
 
     def _start(self, context: bpy.types.Context) -> bool:
         settings = context.scene.gskin.as_job()
-        python, _ = worker_python(context)
+        python, _ = job_python(context, context.scene.gskin.needs_runtime())
         try:
             JobSettings.parse(settings)
             check_models(settings["guidance"], settings.get("options", {}))

@@ -88,6 +88,11 @@ class GSkinSettings(bpy.types.PropertyGroup):
         min=0,
     )
 
+    def needs_runtime(self) -> bool:
+        """Whether these choices need a Python with torch."""
+        chosen = JobSettings(guidance=self.guidance, init=self.init)
+        return chosen.needs_runtime or (self.proxy is not None and is_proxy(self, self.proxy))
+
     def as_job(self) -> dict[str, Any]:
         """The choices as settings of a job."""
         names = ("preset", "guidance", "init", "front", "max_influences", "seed")

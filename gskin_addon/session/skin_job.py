@@ -19,6 +19,7 @@ from ..core.job.lock import job_lock
 from ..core.job.mesh_files import mesh_file
 from ..core.job.progress import ProgressEvent
 from ..core.worker.client import WorkerClient
+from ..core.worker.own_python import own_python
 from ..scene import names
 from ..scene.anchored import read_world_mesh
 from ..scene.armature import read_skeleton
@@ -96,7 +97,13 @@ class SkinJob:
         if home is None:
             forget_old_jobs(jobs_folder())
             home = jobs_folder() / job.fingerprint
-        client = WorkerClient(python, job.write(home), gentle=not bpy.app.background, allow_download=allow_download)
+        client = WorkerClient(
+            python,
+            job.write(home),
+            isolated=python == own_python(),
+            gentle=not bpy.app.background,
+            allow_download=allow_download,
+        )
         client.start()
         return cls(
             client,

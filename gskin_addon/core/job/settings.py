@@ -11,12 +11,12 @@ from typing import Any
 
 from ..errors import InputError
 from ..files import is_plain_name
-from ..guidance import DEFAULT_GUIDANCE, GUIDANCE
+from ..guidance import DEFAULT_GUIDANCE, GUIDANCE, NO_GUIDANCE
 from ..guidance.options import check_options
 from ..render.backends import AUTO, BACKENDS
 from ..skinning.fields import WEIGHT_FIELDS
 from ..skinning.fields import check_options as check_field_options
-from ..skinning.initial import DEFAULT_INITIAL, INITIAL_WEIGHTS, PRESENT
+from ..skinning.initial import DEFAULT_INITIAL, INITIAL_WEIGHTS, PRESENT, needs_masks
 from ..skinning.initial import check_options as check_initial_options
 from ..skinning.losses import LossWeights
 from ..skinning.presets import DEFAULT_PRESET, PRESETS, Preset, preset_by_name
@@ -111,6 +111,11 @@ class JobSettings:
     def field_name(self, preset: Preset) -> str:
         """The weight field to learn with: the one named, else the preset's."""
         return preset.field if self.field == PRESET_FIELD else self.field
+
+    @property
+    def needs_runtime(self) -> bool:
+        """Whether the job renders or learns, for which the worker needs more than numpy."""
+        return self.guidance != NO_GUIDANCE or bool(self.mesh) or needs_masks(self.init)
 
     def as_dict(self) -> dict[str, Any]:
         """The settings as plain values, for the report."""

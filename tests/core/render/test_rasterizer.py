@@ -9,8 +9,9 @@ from render_scenes import SCENES, make_scene
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.render import reference
 from gskin_addon.core.render.camera import look_at
-from gskin_addon.core.render.cpu.backend import CpuScene, morton_order, prepare
+from gskin_addon.core.render.cpu.backend import CpuScene, prepare
 from gskin_addon.core.render.rasterizer import resolve_backend
+from gskin_addon.core.splats.morton import morton_order
 
 BACKGROUND = np.array([0.2, 0.5, 0.9], np.float32)
 

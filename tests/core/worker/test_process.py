@@ -300,6 +300,28 @@ def test_interpreter_without_torch(tmp_path):
     assert sys.executable in last["error"]
 
 
+def test_numpy_loads_with_one_thread_unless_told_otherwise(tmp_path):
+    code = textwrap.dedent(f"""
+        import os, runpy, sys
+        class Watch:
+            def find_spec(self, name, path=None, target=None):
+                if name == "numpy":
+                    print(os.environ.get("OPENBLAS_NUM_THREADS"), file=sys.stderr)
+        sys.meta_path.insert(0, Watch())
+        module = runpy.run_path({str(PROGRAM)!r})
+        module["main"](["--compute", {str(tmp_path / "none")!r}])
+    """)
+    for asked, expected in ((None, "1"), ("3", "3")):
+        environment = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
+        environment |= {"OPENBLAS_NUM_THREADS": asked} if asked else {}
+        run = subprocess.run(
+            [sys.executable, "-c", code], stdin=subprocess.DEVNULL, capture_output=True, text=True, env=environment
+        )
+        words = [line for line in run.stderr.splitlines() if line in ("None", "1", "3")]
+        assert words
+        assert words[-1] == expected
+
+
 def test_interpreter_without_anything(tmp_path):
     run = subprocess.run(
         [sys.executable, "-S", PROGRAM, "--compute", tmp_path], stdin=subprocess.DEVNULL, capture_output=True

@@ -24,6 +24,9 @@ WEIGHT_FIELDS = {
 }
 DEFAULT_FIELD = "pyramid"
 
+LOG_FLOOR = 1e-4
+"""Least initial weight. Eq. (7) gives far bones about 1e-6; their logits must stay within reach of Adam."""
+
 OPTIONS: dict[str, tuple[str, ...]] = {
     "pyramid": ("resolutions",),
     "volume": ("resolution", "width", "start", "fit_steps"),

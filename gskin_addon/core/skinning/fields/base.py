@@ -10,8 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-LOG_FLOOR = 1e-4
-"""Least initial weight. Eq. (7) gives far bones about 1e-6; their logits must stay within reach of Adam."""
+from . import LOG_FLOOR
 
 
 class WeightField(torch.nn.Module):

@@ -20,10 +20,11 @@ from torch import Tensor
 from ...checkpoint import load_checkpoint, save_checkpoint
 from ...errors import InputError, first_line
 from ...skinning.learned.features import NAMES, PRIOR
-from ...skinning.learned.network import Answer, Batch, PriorNetwork, Shape, make_batch
+from ...skinning.learned.network import Shape
 from ...skinning.learned.tree import BONE_FEATURES
 from .muon import Muon
 from .samples import Lesson, posed_lesson
+from .torch_network import Answer, Batch, PriorNetwork, make_batch
 
 CREATURES = "made by gskin"
 """The family of the generated creatures."""

@@ -14,10 +14,10 @@ from gskin_addon.core.errors import InputError
 from gskin_addon.core.rig.bone_roles import ROLES, bone_roles
 from gskin_addon.core.rig.lbs import skin_points
 from gskin_addon.core.rig.skeleton import Skeleton
-from gskin_addon.core.skinning.learned.network import make_batch
 from gskin_addon.core.training.prior import creatures, rig_changes
 from gskin_addon.core.training.prior.capsules import Plan, cover_with_splats
 from gskin_addon.core.training.prior.samples import Lesson, make_lesson, posed_lesson
+from gskin_addon.core.training.prior.torch_network import make_batch
 from gskin_addon.core.training.prior.train import (
     FORGOTTEN,
     NAMELESS,
