@@ -60,7 +60,8 @@ def load_checkpoint(path: Path) -> dict[Any, Any]:
     try:
         with safe_open(path, "pt") as file:
             about = json.loads((file.metadata() or {})[FORMAT])
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118  (no mapping)
+            # Copies: safetensors maps the file, which the next checkpoint replaces.
+            tensors = {name: file.get_tensor(name).clone() for name in file.keys()}  # noqa: SIM118  (no mapping)
         state = _decoded(about, tensors)
     except KeyError:
         raise InputError(f"The checkpoint '{path}' is of another gskin; delete it to start anew.") from None

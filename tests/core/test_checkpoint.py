@@ -65,6 +65,15 @@ def test_tensors_come_back_to_the_bit(tmp_path, dtype):
     assert torch.equal(found["part"], state["part"]), "they no longer share memory"
 
 
+def test_what_was_read_does_not_hang_on_the_file(tmp_path):
+    path = tmp_path / "state"
+    save_checkpoint(path, {"a": torch.arange(5000)})
+    found = load_checkpoint(path)["a"]
+    with open(path, "r+b") as file:
+        file.write(bytes(path.stat().st_size))
+    assert torch.equal(found, torch.arange(5000))
+
+
 def test_what_an_optimiser_and_random_generators_keep(tmp_path):
     layer = torch.nn.Linear(3, 2)
     adam = torch.optim.AdamW(layer.parameters(), betas=(0.9, 0.98))
