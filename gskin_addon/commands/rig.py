@@ -31,6 +31,9 @@ from .paths import check_output, same_file
 
 if TYPE_CHECKING:
     import bpy
+    from numpy.typing import NDArray
+
+    Array = NDArray[Any]
 
 
 def run(options: argparse.Namespace) -> None:
@@ -169,7 +172,7 @@ def _work(python: Path, folder: Path, printer: ProgressPrinter) -> Result:
 
 
 def _bind(
-    cloud: SplatCloud, name: str, armature: object, weights: object, result: Result, influences: int
+    cloud: SplatCloud, name: str, armature: bpy.types.Object, weights: Array, result: Result, influences: int
 ) -> bpy.types.Object:
     from ..scene.splat_object import create_splat_object
     from ..scene.weights import write_weights as write_groups
@@ -181,7 +184,9 @@ def _bind(
     return obj
 
 
-def _anchor(obj: object, name: str, mesh: tuple[Any, Any], armature: object, result: Result) -> None:
+def _anchor(
+    obj: bpy.types.Object, name: str, mesh: tuple[Array, Array], armature: bpy.types.Object, result: Result
+) -> None:
     from ..scene.anchored import anchor_to_mesh
     from ..scene.proxy_object import create_proxy
 

@@ -135,8 +135,9 @@ class SkinJob:
         name = armature.name
         options: dict[str, Any] = {"max_influences": self.max_influences, "confidence": result.confidence}
         if proxies:
-            given = (splats, *proxies, armature, result.weights, result.mesh_weights, result.bones)
-            yield from iter_write_weights_through(*given, **options)
+            assert result.mesh_weights is not None  # a job with a mesh gives them
+            weights = result.weights, result.mesh_weights
+            yield from iter_write_weights_through(splats, proxies[0], armature, *weights, result.bones, **options)
         else:
             yield from iter_write_weights(splats, armature, result.weights, result.bones, **options)
         shutil.rmtree(self.client.folder, ignore_errors=True)
