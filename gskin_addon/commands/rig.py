@@ -31,6 +31,9 @@ from .paths import check_output, same_file
 
 if TYPE_CHECKING:
     import bpy
+    from numpy.typing import NDArray
+
+    Array = NDArray[Any]
 
 
 def run(options: argparse.Namespace) -> None:

@@ -14,7 +14,7 @@ from ..core.job.progress_text import ProgressPrinter
 from ..core.job.settings import JobSettings
 from ..scene.steps import Steps, run_for
 from ..session import running_job, status_bar
-from ..session.chosen import chosen_armature, chosen_splats, proxy_mesh
+from ..session.chosen import chosen_armature, chosen_splats, panel_settings, proxy_mesh
 from ..session.preferences import job_python
 from ..session.readiness import what_is_missing
 from ..session.skin_job import SkinJob
@@ -108,8 +108,9 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
             return self._fail(context, Cancelled("The job was cancelled."))
 
     def _start(self, context: bpy.types.Context) -> bool:
-        settings = context.scene.gskin.as_job()
-        python, _ = job_python(context, context.scene.gskin.needs_runtime())
+        chosen = panel_settings(context)
+        settings = chosen.as_job()
+        python, _ = job_python(context, chosen.needs_runtime())
         try:
             JobSettings.parse(settings)
             check_models(settings["guidance"], settings.get("options", {}))

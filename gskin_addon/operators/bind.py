@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 from bpy_extras.io_utils import ImportHelper
@@ -26,6 +27,8 @@ class GSKIN_OT_load_weights(bpy.types.Operator, ImportHelper):
     bl_options = {"REGISTER", "UNDO"}
 
     filename_ext = ".npz"
+    if TYPE_CHECKING:
+        filepath: str  # ImportHelper's
     filter_glob: bpy.props.StringProperty(default="*.npz", options={"HIDDEN"})
     max_influences: bpy.props.IntProperty(
         name="Max Influences", description="The most bones that move one splat", default=4, min=1, max=4

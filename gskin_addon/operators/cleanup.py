@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 import bpy
 
 from ..core.errors import GSkinError, InputError
@@ -20,6 +22,8 @@ from ..session.chosen import chosen_splats
 
 class _Finder:
     bl_options = {"REGISTER", "UNDO"}
+    if TYPE_CHECKING:
+        poll_message_set: Any  # every operator has it
 
     strays: bpy.props.BoolProperty(
         name="Strays", description="Single splats and small clusters that lie off the body", default=True

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import bpy
 import mathutils
@@ -47,7 +48,8 @@ def render_view(
     rgb = np.asarray(background, float)
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     world.use_nodes = True
-    world.node_tree.nodes["Background"].inputs["Color"].default_value = (*linear.tolist(), 1.0)
+    color: Any = world.node_tree.nodes["Background"].inputs["Color"]
+    color.default_value = (*linear.tolist(), 1.0)
     scene.world = world
     with replaced(path, ".png") as temporary:
         render_still(scene, temporary, size=(size, size))

@@ -229,7 +229,7 @@ def _discoverable() -> Iterator[None]:
         yield
     finally:
         if before is None:
-            del module.glTF2ExportUserExtensions  # type: ignore[attr-defined]
+            del module.glTF2ExportUserExtensions
         else:
             module.glTF2ExportUserExtensions = before  # type: ignore[attr-defined]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Any
 
 import bpy
 
@@ -23,7 +24,7 @@ _found: dict[str, tuple[float, Path | None, str]] = {}
 
 def worker_python(context: bpy.types.Context) -> tuple[Path | None, str]:
     """The interpreter for jobs, or None and what to do. Looks at files only, and seldom: menus ask."""
-    addon = context.preferences.addons.get(ROOT)
+    addon: Any = context.preferences.addons.get(ROOT)
     preference = addon.preferences.python if addon is not None and addon.preferences is not None else ""
     now = time.monotonic()
     known = _found.get(preference)

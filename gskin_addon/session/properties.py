@@ -104,8 +104,10 @@ CLASSES = (GSkinSettings,)
 
 
 def register() -> None:
-    bpy.types.Scene.gskin = bpy.props.PointerProperty(type=GSkinSettings)
+    scenes: Any = bpy.types.Scene
+    scenes.gskin = bpy.props.PointerProperty(type=GSkinSettings)
 
 
 def unregister() -> None:
-    del bpy.types.Scene.gskin
+    scenes: Any = bpy.types.Scene
+    del scenes.gskin

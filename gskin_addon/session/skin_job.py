@@ -164,8 +164,10 @@ class SkinJob:
         name = armature.name
         options: dict[str, Any] = {"max_influences": self.max_influences, "confidence": result.confidence}
         if proxies and self.anchored:
-            given = (splats, *proxies, armature, result.weights, result.mesh_weights, result.bones)
-            yield from iter_write_weights_through(*given, **options)
+            if result.mesh_weights is None:
+                raise GSkinError("The worker gave no weights for the mesh; run Auto-Skin again.")
+            weights = result.weights, result.mesh_weights
+            yield from iter_write_weights_through(splats, proxies[0], armature, *weights, result.bones, **options)
         else:
             yield from iter_write_weights(splats, armature, result.weights, result.bones, **options)
         if not self.kept:

@@ -8,7 +8,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 import venv
 from pathlib import Path
 from types import SimpleNamespace
@@ -459,11 +458,12 @@ def test_escape_cancels(scene, monkeypatch):
 
 def until_writing(operator) -> None:
     """The job has ended and some slices of the weights are done, each tick one."""
-    until = time.monotonic() + 30
-    while operator._writing is None:
-        assert operator.modal(bpy.context, TIMER) == {"PASS_THROUGH"}
-        assert time.monotonic() < until
-        time.sleep(0.02)
+    def writing() -> bool:
+        if operator._writing is None:
+            assert operator.modal(bpy.context, TIMER) == {"PASS_THROUGH"}
+        return operator._writing is not None
+
+    wait_until(writing)
 
 
 def test_weights_are_written_by_ticks_and_nobody_edits_meanwhile(scene, monkeypatch):
