@@ -120,7 +120,7 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
                 settings,
                 python,
                 proxy_mesh(context),
-                allow_download=context.scene.gskin.models.may_download(),
+                allow_download=chosen.models.may_download(),
             )
         except GSkinError as error:
             self._fail(context, error)
