@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import bpy
 
+from . import learning_runtime
 from .chosen import chosen_armature, chosen_splats
 from .preferences import worker_python
 from .running_job import state
@@ -25,3 +26,8 @@ def what_is_missing(context: bpy.types.Context) -> str:
     if splats.mode == "EDIT" or armature.mode == "EDIT":
         return "An object is in Edit Mode: leave it (Tab)"
     return worker_python(context)[1]
+
+
+def guidance_remedy(context: bpy.types.Context) -> learning_runtime.Remedy | None:
+    """What keeps guidance from computing, and the click that mends it; None where a Python with torch is at hand."""
+    return None if worker_python(context)[0] is not None else learning_runtime.remedy(context)
