@@ -61,7 +61,7 @@ class Backend:
 BACKENDS = {
     backend.name: backend
     for backend in (
-        Backend("cpu", "Processor", "https://download.pytorch.org/whl/cpu", 200, 800, ("linux", "win32")),
+        Backend("cpu", "Processor", "https://download.pytorch.org/whl/cpu", 205, 860, ("linux", "win32")),
         Backend(
             "cuda",
             "NVIDIA (CUDA 12.6)",
@@ -85,7 +85,7 @@ BACKENDS = {
         Backend("apple", "Apple (Metal)", "", 100, 450, ("darwin",)),
     )
 }
-_REST_DOWNLOAD, _REST_DISK = 105, 420
+_REST_DOWNLOAD, _REST_DISK = 130, 450
 _DIFFUSION_DOWNLOAD, _DIFFUSION_DISK = 35, 260
 
 
