@@ -17,6 +17,10 @@ _SOURCES = [
 ]
 
 
+def _look_anew(preferences: bpy.types.AddonPreferences, context: bpy.types.Context) -> None:
+    forget()
+
+
 class GSkinPreferences(bpy.types.AddonPreferences):
     bl_idname = ROOT
 
@@ -31,7 +35,7 @@ class GSkinPreferences(bpy.types.AddonPreferences):
         description="Where the learning runtime is installed; empty: a folder of yours that Blender's updates leave "
         "alone. $GSKIN_RUNTIME comes before this",
         subtype="DIR_PATH",
-        update=lambda preferences, context: forget(),
+        update=_look_anew,
     )
     runtime_source: bpy.props.EnumProperty(
         name="Packages From", description="Where the learning runtime's packages come from", items=_SOURCES
