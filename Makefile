@@ -6,13 +6,14 @@ RUN = $(VENV)/bin/python
 STAMP = $(VENV)/gskin-setup.sha256
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-window lint zip bench-speed bench-quality clean
+.PHONY: help venv demo test test-window test-runtime lint zip bench-speed bench-quality clean
 
 help:
 	@echo 'make venv           the environment in $(VENV), with all that gskin needs'
 	@echo 'make demo           a sample character, auto-skinned, into out/demo'
 	@echo 'make test           the test suite'
 	@echo 'make test-window    the extension in a real Blender window; BLENDER=/path/to/blender, else (as root) one of Debian'
+	@echo 'make test-runtime   the learning runtime for real, from the package index pip is set up for: minutes, 5 GB'
 	@echo 'make lint           ruff and mypy'
 	@echo 'make zip            the Blender extension, into dist'
 	@echo 'make bench-speed    every bar of speed and memory; ONLY=iteration,standard and REPEATS=3 choose'
@@ -31,6 +32,9 @@ test: $(STAMP)
 
 test-window: $(STAMP)
 	@$(RUN) tests/window $(if $(PICTURES),--pictures)
+
+test-runtime: $(STAMP)
+	@$(RUN) tests/runtime
 
 lint: $(STAMP)
 	@$(RUN) -m ruff check .
