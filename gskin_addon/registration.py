@@ -6,7 +6,7 @@ from __future__ import annotations
 import bpy
 
 from .operators import anchor, auto_skin, bind, check_python, cleanup, command_line, confidence, import_splats
-from .scene import handlers
+from .scene import handlers, helpers
 from .session import guidance_settings, properties
 from .ui import panel, preferences, splat_panels
 
@@ -26,6 +26,7 @@ MODULES = (
     panel,
     splat_panels,
     handlers,
+    helpers,
 )
 
 

@@ -9,6 +9,11 @@ MARK = "gskin"
 FRAMES_MARK = "gskin_bone_frames"
 """Custom property that marks the hidden helper mesh of bone frames."""
 
+OCTAHEDRA_MARK = "gskin_octahedra"
+"""Custom property that marks the hidden helper whose faces the display borrows."""
+OCTAHEDRON_MARK = "gskin_octahedron"
+"""Custom property of the mesh of the one octahedron."""
+
 # Names that Blender 5.3 and later use for splats on point clouds.
 ROTATION = "rotation"
 SCALE = "scale"
