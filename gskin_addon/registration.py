@@ -6,7 +6,7 @@ from __future__ import annotations
 import bpy
 
 from .operators import anchor, auto_skin, bind, check_python, cleanup, command_line, confidence, import_splats
-from .scene import handlers, helpers
+from .scene import follow_transforms, handlers, helpers
 from .session import guidance_settings, properties
 from .ui import panel, preferences, splat_panels
 
@@ -27,6 +27,7 @@ MODULES = (
     splat_panels,
     handlers,
     helpers,
+    follow_transforms,
 )
 
 

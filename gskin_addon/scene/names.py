@@ -4,7 +4,11 @@
 from __future__ import annotations
 
 MARK = "gskin"
-"""Custom property that marks a splat mesh: a group with version, sh_degree and the names of extra columns."""
+"""Custom property that marks a splat mesh: a group with version, sh_degree, the names of extra
+columns, and where known the file's up axis (up) and what an applied transform has broken (warning)."""
+
+PLACES = "gskin_places"
+"""Custom property of a splat mesh: where some splats were when all attributes fitted together."""
 
 FRAMES_MARK = "gskin_bone_frames"
 """Custom property that marks the hidden helper mesh of bone frames."""
