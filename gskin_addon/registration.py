@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import bpy
 
-from .operators import anchor, auto_skin, bind, check_python, cleanup, command_line, confidence, import_splats
-from .scene import follow_transforms, handlers, helpers
+from .operators import anchor, auto_skin, bind, check_python, cleanup, command_line, confidence, import_splats, place
+from .scene import follow_display, follow_transforms, handlers, helpers
 from .session import guidance_settings, properties
 from .ui import panel, preferences, splat_panels
 
@@ -17,6 +17,7 @@ MODULES = (
     preferences,
     check_python,
     import_splats,
+    place,
     cleanup,
     bind,
     confidence,
@@ -28,6 +29,7 @@ MODULES = (
     handlers,
     helpers,
     follow_transforms,
+    follow_display,
 )
 
 

@@ -7,6 +7,9 @@ MARK = "gskin"
 """Custom property that marks a splat mesh: a group with version, sh_degree, the names of extra
 columns, and where known the file's up axis (up) and what an applied transform has broken (warning)."""
 
+OFFSET = "gskin_offset"
+"""Custom property of a splat object: how far it was moved from the file's coordinates."""
+
 PLACES = "gskin_places"
 """Custom property of a splat mesh: where some splats were when all attributes fitted together."""
 
