@@ -16,10 +16,11 @@ from .operators import (
     confidence,
     import_splats,
     install_runtime,
+    place,
     remove_runtime,
     repair_runtime,
 )
-from .scene import handlers
+from .scene import follow_display, follow_transforms, handlers, helpers
 from .session import guidance_settings, properties
 from .ui import panel, preferences, splat_panels
 
@@ -34,6 +35,7 @@ MODULES = (
     cancel_runtime,
     remove_runtime,
     import_splats,
+    place,
     cleanup,
     bind,
     confidence,
@@ -43,6 +45,9 @@ MODULES = (
     panel,
     splat_panels,
     handlers,
+    helpers,
+    follow_transforms,
+    follow_display,
 )
 
 

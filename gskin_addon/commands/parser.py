@@ -9,6 +9,7 @@ from typing import Any, NoReturn
 
 from ..core.guidance import DEFAULT_GUIDANCE, GUIDANCE
 from ..core.job.settings import FRONTS, PRESET_FIELD
+from ..core.job.up_axis import UP_CHOICES
 from ..core.render.backends import AUTO, BACKENDS
 from ..core.skinning.fields import WEIGHT_FIELDS
 from ..core.skinning.initial import DEFAULT_INITIAL, INITIAL_WEIGHTS
@@ -70,7 +71,9 @@ def _rig(commands: Any) -> None:
         help="a mesh of the same object (.obj, .ply, .glb, .npz, ...): learn weights on it, hang the splats on it",
     )
     rig.add_argument("--mesh-up", choices=UP_AXES, help="that mesh's up axis (default: y for .glb and .gltf, else z)")
-    rig.add_argument("--ply-up", choices=UP_AXES, default="z", help="the PLY's up axis (default: Blender's, z)")
+    rig.add_argument(
+        "--ply-up", choices=UP_CHOICES, default="z", help="the PLY's up axis, or auto to guess it (default: z)"
+    )
     rig.add_argument("--drop-invalid", action="store_true", help="leave out splats with NaN or infinite values")
     rig.add_argument("--drop-strays", action="store_true", help="leave out splats off the body and faint giants")
     rig.add_argument(

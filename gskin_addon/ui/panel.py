@@ -9,7 +9,7 @@ from ..core.guidance import NO_GUIDANCE
 from ..session.chosen import chosen_armature, chosen_splats, panel_settings
 from ..session.readiness import what_is_missing
 from ..session.running_job import state
-from . import guidance, progress
+from . import arrival, guidance, progress
 
 
 class GSKIN_PT_main(bpy.types.Panel):
@@ -33,6 +33,7 @@ class GSKIN_PT_main(bpy.types.Panel):
         column.prop(settings, "proxy", icon="OUTLINER_OB_MESH")
         if settings.splats is None or settings.armature is None:
             self._draw_chosen(context, column)
+        arrival.draw(context, column)
         column.separator()
         column.prop(settings, "init")
         column.prop(settings, "guidance")
