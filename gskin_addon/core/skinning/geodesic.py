@@ -205,9 +205,9 @@ class _Bones:
             gap[outer] = 1.5 * nearest_points(centres, np.floor(places[outer]) + 0.5, 1)[0][:, 0] + 1.0
         reach = np.linalg.norm(body.nodes[node] + 0.5 - places, axis=1)
         cuts = np.cumsum(steps)[:-1]
-        parts = (np.split(a, cuts) for a in (gap.astype(np.float32), node, _rounded(reach)))
         labels = None if body.walls is None else np.split(body.walls[node], cuts)
-        return cls(heads, axes, *parts, labels)
+        allowance, seeds, ways = (np.split(a, cuts) for a in (gap.astype(np.float32), node, _rounded(reach)))
+        return cls(heads, axes, allowance, seeds, ways, labels)
 
     def closest(self, bone: int, places: Array, own: Array | None) -> tuple[Array, Array, Array]:
         """Ways (3, K) from places (3, K) to the closest points of a bone, their lengths (K,), and the allowances (K,).
