@@ -6,11 +6,11 @@ from __future__ import annotations
 import argparse
 import contextlib
 import importlib.util
-import time
 
 from ..core.errors import InputError, Stopped
-from ..core.job.progress import ProgressEvent, RemainingTime
+from ..core.job.progress import ProgressEvent
 from ..core.job.progress_text import ProgressPrinter
+from ..core.pipeline.eta import StageEta
 from .console import say
 from .rig import parse_options
 
@@ -37,10 +37,10 @@ class Reporter:
     """Shows (done part, words) with the time left, as the worker does."""
 
     def __init__(self, stage: str, mode: str) -> None:
-        self._stage, self._printer, self._remaining = stage, ProgressPrinter(mode), RemainingTime()
+        self._stage, self._printer, self._eta = stage, ProgressPrinter(mode), StageEta()
 
     def __call__(self, done: float, message: str) -> None:
-        left = self._remaining.update(time.monotonic(), done)
+        left = self._eta.seconds_left(done)
         self._printer(ProgressEvent(self._stage, done, left, message=message))
 
     def close(self) -> None:
@@ -72,7 +72,7 @@ def _pairs(options: argparse.Namespace, reporter: Reporter) -> None:
 def _tune(options: argparse.Namespace, reporter: Reporter) -> None:
     from ..core.training.guidance.finetune import tune
 
-    settings = {**parse_options(options.option, "--option"), "allow_download": options.allow_download}
-    sentence = tune(options.pairs, options.out, settings, reporter)
+    settings = parse_options(options.option, "--option")
+    sentence = tune(options.pairs, options.out, settings, reporter, allow_download=options.allow_download)
     reporter.close()
     say(sentence)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from ..core.errors import InputError
 from ..core.job.progress import ProgressEvent
 from ..core.job.progress_text import ProgressPrinter
+from ..core.pipeline.eta import StageEta
 from .console import say
 from .paths import check_output
 
@@ -115,10 +116,9 @@ class _Clock:
 
     def restart(self) -> None:
         """A stage begins."""
-        self._begun = time.monotonic()
+        self._eta = StageEta()
 
     def __call__(self, stage: str, part: float, start: float, end: float, message: str = "") -> None:
         """`part` of the stage is done, which spans `start` to `end` of the whole."""
-        gone = time.monotonic() - self._begun
-        left = gone * (1 - part) / part if part > 0 else None
+        left = self._eta.seconds_left(part)
         self._printer(ProgressEvent(stage, start + (end - start) * part, left, message=message))

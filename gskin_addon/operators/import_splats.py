@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import bpy
 from bpy_extras.io_utils import ImportHelper
@@ -24,6 +25,8 @@ class GSKIN_OT_import_splats(bpy.types.Operator, ImportHelper):
     bl_options = {"REGISTER", "UNDO", "PRESET"}
 
     filename_ext = ".ply"
+    if TYPE_CHECKING:
+        filepath: str  # ImportHelper's
     filter_glob: bpy.props.StringProperty(default="*.ply", options={"HIDDEN"})
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
     files: bpy.props.CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
@@ -99,6 +102,7 @@ def _show_colors(context: bpy.types.Context) -> None:
     run around every gap between them.
     """
     for area in context.screen.areas if context.screen else ():
+        space: Any
         for space in area.spaces:
             if space.type == "VIEW_3D" and space.shading.color_type == "MATERIAL":
                 space.shading.color_type, space.shading.light = "VERTEX", "FLAT"

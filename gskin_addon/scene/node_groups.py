@@ -15,7 +15,7 @@ import bpy
 from . import names
 from .display_colors import SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF, splat_color
 from .materials import FAINTEST, render_material, viewport_material
-from .node_builder import Tree, find_group, geometry_group, get_input, set_input
+from .node_builder import Tree, add_modifier, find_group, geometry_group, get_input, set_input
 
 VERSION = 2
 
@@ -97,11 +97,10 @@ def add_display(obj: bpy.types.Object) -> bpy.types.NodesModifier:
     """Give the object the display modifier, last in its stack; an existing one is kept."""
     modifier = find_display(obj)
     if modifier is None:
-        modifier = obj.modifiers.new(names.DISPLAY_MODIFIER, "NODES")
+        modifier = add_modifier(obj, names.DISPLAY_MODIFIER)
         modifier.node_group = display_group()
         # In Edit Mode the artist needs the points themselves.
         modifier.show_in_editmode = False
-        modifier.show_expanded = False
     obj.modifiers.move(obj.modifiers.find(modifier.name), len(obj.modifiers) - 1)
     return modifier
 

@@ -18,6 +18,7 @@ from gskin_addon.core.job.settings import JobSettings
 from gskin_addon.operators.auto_skin import GSKIN_OT_auto_skin
 from gskin_addon.scene.splat_object import create_splat_object
 from gskin_addon.session import guidance_settings, running_job, skin_job
+from gskin_addon.ui import guidance
 
 
 @pytest.fixture
@@ -81,11 +82,12 @@ def test_defaults_of_the_panel_are_the_providers_own(scene):
 def test_consent_counts_only_with_online_access(scene, online):
     scene.gskin.guidance = "flux_repair"
     online(True)
-    assert "allow_download" not in options(scene)
+    assert not scene.gskin.models.may_download()
     scene.gskin.models.allow_download = True
-    assert options(scene)["allow_download"] is True
+    assert scene.gskin.models.may_download()
+    assert "allow_download" not in options(scene)  # what becomes job.json
     online(False)
-    assert "allow_download" not in options(scene)
+    assert not scene.gskin.models.may_download()
 
 
 def test_consent_comes_with_no_file_and_ends_with_the_add_on(scene, tmp_path):
@@ -123,7 +125,7 @@ class Layout:
 
 def drawn(scene) -> list[str]:
     layout = Layout()
-    scene.gskin.models.draw(layout, scene.gskin.guidance)
+    guidance.draw(layout, scene.gskin.models, scene.gskin.guidance)
     return layout.drawn
 
 

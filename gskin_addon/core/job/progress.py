@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Progress as the pipeline tells it, turned into lines with the time left. Standard library only."""
+"""Progress as the pipeline tells it, as the lines of the contract. Standard library only."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -43,38 +42,6 @@ class CancelFlag:
         return self._up
 
 
-class RemainingTime:
-    """Seconds left, from the rate measured lately.
-
-    Stages differ in speed, so the rate is taken over the latest part of the run (at least `WINDOW` seconds,
-    at most a third of it), and the predicted end is smoothed so that the number shown does not jump.
-    """
-
-    WINDOW = 8.0
-    WARM_UP = 1.5
-    KEEP = 0.7
-
-    def __init__(self) -> None:
-        self._samples: deque[tuple[float, float]] = deque()
-        self._start: tuple[float, float] | None = None
-        self._end: float | None = None
-
-    def update(self, now: float, fraction: float) -> float | None:
-        """Take in that `fraction` (0 to 1) of the job is done at `now` (s); returns seconds left or None."""
-        if self._start is None:
-            self._start = (now, fraction)
-        self._samples.append((now, fraction))
-        window = max(self.WINDOW, (now - self._start[0]) / 3)
-        while len(self._samples) > 2 and now - self._samples[1][0] >= window:
-            self._samples.popleft()
-        then, before = self._samples[0]
-        if now - self._start[0] < self.WARM_UP or fraction - before < 1e-3:
-            return None if self._end is None else max(0.0, self._end - now)
-        end = now + (1.0 - fraction) * (now - then) / (fraction - before)
-        self._end = end if self._end is None else self.KEEP * self._end + (1 - self.KEEP) * end
-        return max(0.0, self._end - now)
-
-
 class Progress:
     """What the pipeline calls; sends lines no faster than a person can read.
 
@@ -90,7 +57,6 @@ class Progress:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self._send, self._cancelled, self._clock = send, cancelled, clock
-        self._remaining = RemainingTime()
         self._fraction = 0.0
         self._last: tuple[str, float] | None = None
         self._started = clock()
@@ -105,15 +71,15 @@ class Progress:
     ) -> None:
         """`fraction` (0 to 1) of the whole job, never falling; `losses` by name; `message` for a person.
 
-        `seconds_left` where the caller knows better than the rate of the fractions tells.
+        `seconds_left` where the caller knows; see `core/pipeline/eta.py`.
         """
         if self._cancelled.is_set():
             raise Cancelled("The job was cancelled.")
         now = self._clock()
         if math.isfinite(fraction):
             self._fraction = max(self._fraction, min(1.0, float(fraction)))
-        from_rate = self._remaining.update(now, self._fraction)
-        seconds_left = from_rate if seconds_left is None or not math.isfinite(seconds_left) else seconds_left
+        if seconds_left is not None and not math.isfinite(seconds_left):
+            seconds_left = None
         if self._last is not None and self._last[0] == stage and now - self._last[1] < self.INTERVAL:
             return
         self._last = (stage, now)

@@ -6,17 +6,16 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..guidance import create_provider
+from ..guidance import NO_GUIDANCE, create_provider
 from ..guidance.control import ControlSignal, make_signals
-from ..guidance.provider import GuidanceContext
-from ..job.settings import PRESET_FIELD, JobSettings
-from ..render.camera import Camera
+from ..guidance.provider import GuidanceContext, to_bytes
+from ..render.backends import choose_backend
+from ..render.camera import PAPER_AZIMUTHS, Camera
 from ..rig.skeleton import Skeleton
 from ..skinning.fields import create_field
 from ..skinning.geodesic import body_distances
@@ -24,132 +23,187 @@ from ..skinning.initial import initial_weights
 from ..skinning.losses import LossWeights
 from ..skinning.optimise import Optimiser
 from ..skinning.posers import Poser, SplatPoser
-from ..skinning.presets import preset_by_name
+from ..skinning.presets import Preset, preset_by_name
 from ..skinning.subset import SplatSubset
 from ..skinning.views import Target
-from .course import Course
-from .optimise_loop import make_guidance, optimise, try_out
+from .eta import Eta
+from .optimise_loop import guided_kinds, make_guidance, optimise, try_out
 from .proxy import Proxy
+from .steps import JobInputs
 
 TRIAL_POSES = 8
 """Poses of each view in a try-out. A view renders what it sees in any of them: with 6 the try-outs of `paper` took
 0.40 s, with 15 they took 0.60 s, the run itself 0.5 s an iteration."""
 
+Pictures = Sequence[NDArray[Any]]
+Masks = NDArray[np.bool_]
+Weights = NDArray[np.float32]
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class Learned:
     """weights (M, B) of the nodes: the splats of the subset, or the proxy mesh's vertices; signals and targets: what
     they were learned from; report: numbers and words; query: see `WeightField.query`."""
 
-    weights: NDArray[np.float32]
+    weights: Weights
     signals: Sequence[ControlSignal] = ()
     targets: Sequence[Target] = ()
     report: Mapping[str, Any] = field(default_factory=dict)
     query: Callable[[NDArray[Any]], Any] | None = None
 
 
-def rehearse(
-    chosen: JobSettings,
-    subset: SplatSubset,
-    proxy: Proxy | None,
-    skeleton: Skeleton,
-    masks: NDArray[np.bool_],
-    cameras: Sequence[Camera],
-    rest_images: Sequence[NDArray[np.uint8]],
-    losses: LossWeights,
-    rasterizer: str,
-    course: Course,
-) -> Poser:
-    """Find out at the very start what an iteration costs, with the paper's initial weights, which take no time;
-    returns the poser, for `learn`.
+def work_kinds(job: JobInputs, splats: int) -> dict[str, tuple[int, float]]:
+    """The kinds of work of a job on `splats` splats that renders; see `Eta`."""
+    size = splats / 50_000
+    kinds = {"splats": (1, 0.06 * size), "initial": (1, 0.3 + 0.8 * size)}
+    if job.settings.guidance != NO_GUIDANCE:
+        preset = preset_by_name(job.settings.preset)
+        kinds |= guided_kinds(preset, len(PAPER_AZIMUTHS), splats, job.skeleton.count)
+    return kinds | {"finish": (1, 0.8 * size)}
 
-    masks and rest_images: the subset from each of the cameras.
-    """
-    preset = preset_by_name(chosen.preset)
-    course.say("prepare", "Trying out an iteration")
-    rough: NDArray[np.float32]
-    if proxy is None:
-        poser: Poser = SplatPoser(subset.cloud, losses.arap_neighbours)
+
+@dataclass(frozen=True, eq=False)
+class GuidedStage:
+    """What learning needs besides the splats: settings, losses, and what draws."""
+
+    job: JobInputs
+    eta: Eta
+    preset: Preset
+    losses: LossWeights
+    rasterizer: str
+    remark: str
+
+    @classmethod
+    def open(cls, job: JobInputs, eta: Eta) -> GuidedStage:
+        """Choose what draws. Raises InputError where it is not there."""
+        preset, losses = preset_by_name(job.settings.preset), LossWeights.parse(job.settings.losses)
+        rasterizer, remark = choose_backend(job.settings.rasterizer)
+        eta.tell("initial", remark or "Preparing the splats")
+        return cls(job, eta, preset, losses, rasterizer, remark)
+
+    def try_out_on_splats(
+        self, subset: SplatSubset, skeleton: Skeleton, cameras: Sequence[Camera], images: Pictures, masks: Masks
+    ) -> Poser:
+        """Find out at the very start what an iteration costs, with the paper's initial weights, which take no time;
+        returns the poser, for `learn`.
+
+        images, masks (V, H, W): the subset at rest from each of the cameras.
+        """
         rough = initial_weights("visibility", subset.cloud, skeleton, masks, cameras)
-    else:
-        poser = proxy.poser(subset, losses.arap_neighbours)
+        poser = SplatPoser(subset.cloud, self.losses.arap_neighbours)
+        return self._try_out(poser, rough, subset, skeleton, cameras, images)
+
+    def try_out_on_proxy(
+        self,
+        subset: SplatSubset,
+        proxy: Proxy,
+        skeleton: Skeleton,
+        cameras: Sequence[Camera],
+        images: Pictures,
+        masks: Masks,
+    ) -> Poser:
+        """As `try_out_on_splats`, with splats that hang on a mesh."""
         rough, _ = proxy.initial("visibility", subset.cloud, skeleton, masks, cameras, {})
-    weight_field = create_field(_field_name(chosen), poser.nodes, rough, chosen.field_options)
-    signals = make_signals(skeleton, list(cameras), TRIAL_POSES, np.random.default_rng(chosen.seed))
-    at_rest = [Target(s.camera, s.transforms, rest_images[s.view]) for s in signals]
-    trial = Optimiser(
-        subset.cloud, skeleton, weight_field, at_rest, preset, poser=poser, losses=losses, rasterizer=rasterizer
-    )
-    try_out(trial, course, len(cameras) * preset.poses_per_view)
-    course.end_stage("prepare")
-    return poser
+        poser = proxy.poser(subset, self.losses.arap_neighbours)
+        return self._try_out(poser, rough, subset, skeleton, cameras, images)
 
+    def learn(
+        self,
+        subset: SplatSubset,
+        skeleton: Skeleton,
+        cameras: Sequence[Camera],
+        poser: Poser,
+        *,
+        nodes: Weights,
+        initial: Weights,
+        confidence: NDArray[np.float32] | None,
+        movable: NDArray[np.bool_] | None = None,
+    ) -> Learned:
+        """Weights of the nodes from the images of the job's guidance.
 
-def _field_name(chosen: JobSettings) -> str:
-    return preset_by_name(chosen.preset).field if chosen.field == PRESET_FIELD else chosen.field
+        poser: from a try-out; nodes (M, B): its nodes' initial weights; initial (S, B): those of the subset's splats;
+        confidence (M,) in the nodes' initial weights, or None; movable (M,): nodes that may change, all if left out.
+        """
+        chosen, preset, eta = self.job.settings, self.preset, self.eta
+        eta.tell("guidance", "Distances through the body")
+        walls = None if self.job.scope.walls is None else self.job.scope.walls[subset.index]
+        distances = body_distances(subset.cloud, skeleton, walls=walls)
+        eta.did("distances")
+        weight_field = create_field(self._field_name(), poser.nodes, nodes, chosen.field_options)
+        context = GuidanceContext(
+            subset.cloud,
+            skeleton,
+            initial,
+            distances,
+            index=subset.index,
+            options=chosen.options,
+            seed=chosen.seed,
+            checkpoint=self.job.checkpoint,
+            tick=lambda done, message: eta.tell("guidance", message),
+        )
+        signals = make_signals(skeleton, list(cameras), preset.poses_per_view, np.random.default_rng(chosen.seed))
+        # Poses of their own, from their own seed: the others stay the same whatever is held out.
+        unseen = make_signals(skeleton, list(cameras), preset.held_out, np.random.default_rng([chosen.seed, 1]))
+        begin = partial(
+            Optimiser,
+            subset.cloud,
+            skeleton,
+            weight_field,
+            poser=poser,
+            losses=self.losses,
+            confidence=confidence,
+            movable=movable,
+            seed=chosen.seed,
+            rasterizer=self.rasterizer,
+        )
+        targets = make_guidance(create_provider(chosen.guidance, context), [*signals, *unseen], eta)
+        eta.end_stage("guidance")
 
+        optimiser = begin(targets[: len(signals)], preset, held_out=targets[len(signals) :])
+        history = optimise(optimiser, eta, self.job.checkpoint)
+        eta.end_stage("optimise")
+        report = {
+            "field": self._field_name(),
+            "guidance_images": len(signals),
+            "iterations": optimiser.iteration,
+            "stopped": optimiser.stop.reason or "the schedule is done",
+            "held_out": [{"iteration": at, "render": loss} for at, loss in optimiser.stop.history],
+            "losses": history,
+        }
+        return Learned(optimiser.weights(), signals, targets, report, weight_field.query)
 
-def learn(
-    chosen: JobSettings,
-    subset: SplatSubset,
-    poser: Poser,
-    skeleton: Skeleton,
-    nodes: NDArray[np.float32],
-    initial: NDArray[np.float32],
-    trust: NDArray[np.float32] | None,
-    cameras: Sequence[Camera],
-    losses: LossWeights,
-    rasterizer: str,
-    course: Course,
-    checkpoint: Path,
-) -> Learned:
-    """Weights of the nodes from the images of the job's guidance.
+    def report(self, splats: int) -> dict[str, Any]:
+        """What drew, and how many splats were learned on."""
+        return {"rasterizer": {"name": self.rasterizer, "remark": self.remark}, "splats_optimised": splats}
 
-    poser: from `rehearse`; nodes (M, B): its nodes' initial weights; initial (S, B): those of the subset's splats;
-    trust (M,): confidence in the nodes' initial weights, or None.
-    """
-    preset = preset_by_name(chosen.preset)
-    course.say("guidance", "Distances through the body")
-    distances = body_distances(subset.cloud, skeleton)
-    course.did("distances")
-    field_name = _field_name(chosen)
-    weight_field = create_field(field_name, poser.nodes, nodes, chosen.field_options)
-    context = GuidanceContext(
-        subset.cloud,
-        skeleton,
-        initial,
-        distances,
-        index=subset.index,
-        options=chosen.options,
-        seed=chosen.seed,
-        checkpoint=checkpoint,
-        tick=lambda done, message: course.say("guidance", message),
-    )
-    signals = make_signals(skeleton, list(cameras), preset.poses_per_view, np.random.default_rng(chosen.seed))
-    # Poses of their own, from their own seed: the others stay the same whatever is held out.
-    unseen = make_signals(skeleton, list(cameras), preset.held_out, np.random.default_rng([chosen.seed, 1]))
-    begin = partial(
-        Optimiser,
-        subset.cloud,
-        skeleton,
-        weight_field,
-        poser=poser,
-        losses=losses,
-        confidence=trust,
-        seed=chosen.seed,
-        rasterizer=rasterizer,
-    )
-    targets = make_guidance(create_provider(chosen.guidance, context), [*signals, *unseen], course)
-    course.end_stage("guidance")
+    def _field_name(self) -> str:
+        return self.job.settings.field_name(self.preset)
 
-    optimiser = begin(targets[: len(signals)], preset, held_out=targets[len(signals) :])
-    history = optimise(optimiser, course, checkpoint)
-    course.end_stage("optimise")
-    report = {
-        "field": field_name,
-        "iterations": optimiser.iteration,
-        "stopped": optimiser.stop.reason or "the schedule is done",
-        "held_out": [{"iteration": at, "render": loss} for at, loss in optimiser.stop.history],
-        "losses": history,
-    }
-    return Learned(optimiser.weights(), signals, targets, report, weight_field.query)
+    def _try_out(
+        self,
+        poser: Poser,
+        rough: Weights,
+        subset: SplatSubset,
+        skeleton: Skeleton,
+        cameras: Sequence[Camera],
+        images: Pictures,
+    ) -> Poser:
+        chosen, preset, eta = self.job.settings, self.preset, self.eta
+        eta.tell("prepare", "Trying out an iteration")
+        weight_field = create_field(self._field_name(), poser.nodes, rough, chosen.field_options)
+        signals = make_signals(skeleton, list(cameras), TRIAL_POSES, np.random.default_rng(chosen.seed))
+        rest = [to_bytes(image) for image in images]
+        at_rest = [Target(s.camera, s.transforms, rest[s.view]) for s in signals]
+        trial = Optimiser(
+            subset.cloud,
+            skeleton,
+            weight_field,
+            at_rest,
+            preset,
+            poser=poser,
+            losses=self.losses,
+            rasterizer=self.rasterizer,
+        )
+        try_out(trial, eta, len(cameras) * preset.poses_per_view)
+        eta.end_stage("prepare")
+        return poser

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The long part of a job: guidance images and optimisation, with checkpoints, forecasts and an early end."""
+"""The long part of a job: guidance images and optimisation, with checkpoints, and an early end."""
 
 from __future__ import annotations
 
+import copy
 import math
-import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,35 +13,33 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..checkpoint import load_checkpoint, save_checkpoint
+from ..errors import InputError, first_line
+from ..files import remove_leftovers
 from ..guidance.control import ControlSignal
 from ..skinning.optimise import PRUNE_FROM, Optimiser, look_schedule
 from ..skinning.presets import Preset
 from ..skinning.views import Target
-from .course import Course
+from .eta import Eta
 
 CHECKS = 10
 """Looks at the held-out poses in a run."""
 TRIALS = 3
 """Iterations that are timed before anything is learned, at each size: one alone may be a fifth off."""
+STATE, OLD_STATE = "optimiser.safetensors", "optimiser.pt"
 CHECKPOINT_SECONDS = 5.0
 # The weight volume's state has 450 MB: writing it may take this part of the time.
 CHECKPOINT_SHARE = 0.1
 
 
-def work(preset: Preset, views: int, splats: int, bones: int, guided: bool = True) -> dict[str, tuple[int, float]]:
-    """The kinds of work of a run, with how many pieces of each and guessed seconds; measured on two cores.
-
-    guided: whether there are guidance images to learn from.
-    """
+def guided_kinds(preset: Preset, views: int, splats: int, bones: int) -> dict[str, tuple[int, float]]:
+    """The kinds of work of learning from guidance images, with how many pieces of each and guessed seconds; measured on
+    two cores."""
     size = splats / 50_000
     images = views * preset.poses_per_view
     looks = look_schedule(preset, images) if splats >= PRUNE_FROM else ()
-    kinds = {"splats": (1, 0.06 * size), "initial": (1, 0.3 + 0.8 * size)}
-    finish = {"finish": (1, 0.8 * size)}
-    if not guided:
-        return kinds | finish
     wanted = images + views * preset.held_out
-    kinds |= {"distances": (1, 0.5 * size), "first image": (1, 0.2 + size)}
+    kinds = {"distances": (1, 0.5 * size), "first image": (1, 0.2 + size)}
     kinds |= {"guidance": (wanted - 1, 0.042 * (0.8 + size))}
     for size_px, stage in preset.ranges():
         pixels = (size_px / 512) ** 2
@@ -51,7 +49,7 @@ def work(preset: Preset, views: int, splats: int, bones: int, guided: bool = Tru
         pieces = kinds.get(_look(size_px), (0, 0.0))[0] + sum(at in stage for at in looks)
         kinds[_look(size_px)] = (pieces, images * 0.008 * size)
     kinds["check"] = (len(_check_at(preset)) if preset.held_out else 0, views * preset.held_out * 0.02 * size)
-    return kinds | finish
+    return kinds
 
 
 def _learn(size: int) -> str:
@@ -74,7 +72,7 @@ def _first_visits(preset: Preset, images: int) -> frozenset[int]:
     return frozenset(visit for _, stage in preset.ranges() for visit in stage[:epoch])
 
 
-def try_out(optimiser: Optimiser, course: Course, images: int) -> None:
+def try_out(optimiser: Optimiser, eta: Eta, images: int) -> None:
     """Measure what an iteration costs at each size, before anything is learned.
 
     images: how many the run will look at, where the optimiser at hand has fewer.
@@ -82,81 +80,107 @@ def try_out(optimiser: Optimiser, course: Course, images: int) -> None:
     scale = images / len(optimiser.targets)
     for size in dict.fromkeys(size for size, _ in optimiser.preset.stages):
         optimiser.try_out(size)  # loads the kernels
-        course.rest()
+        eta.forget()
         if optimiser.looks:
             optimiser.look(size)
-            course.tried(_look(size), 1 / scale)
+            eta.tried(_look(size), 1 / scale)
         for _ in range(TRIALS):
             optimiser.try_out(size)
-            course.tried(_learn(size))
+            eta.tried(_learn(size))
 
 
-def make_guidance(provider: Any, signals: Sequence[ControlSignal], course: Course) -> list[Target]:
+def make_guidance(provider: Any, signals: Sequence[ControlSignal], eta: Eta) -> list[Target]:
     targets = []
     images = provider.images(signals)
     for number, signal in enumerate(signals):
         targets.append(Target(signal.camera, signal.transforms, next(images)))
         # The first one waits for whatever the provider must load or work out beforehand.
-        course.did("guidance" if number else "first image")
-        course.say("guidance", f"Guidance image {number + 1} of {len(signals)}")
+        eta.did("guidance" if number else "first image")
+        eta.tell("guidance", f"Guidance image {number + 1} of {len(signals)}")
     return targets
 
 
-def optimise(optimiser: Optimiser, course: Course, checkpoint: Path) -> list[dict[str, float]]:
+def optimise(optimiser: Optimiser, eta: Eta, checkpoint: Path) -> list[dict[str, float]]:
     """Run to the end, from the checkpoint where there is one; the losses of about 50 iterations."""
-    path = checkpoint / "optimiser.pt"
     iterations = optimiser.preset.iterations
-    history: list[dict[str, float]] = []
-    if path.is_file():
-        state = torch.load(path, weights_only=False)  # our own file, in the job's own folder
-        optimiser.restore(state["optimiser"])
-        history = state["history"]
-    _skip_done(optimiser, course)
+    history, remark = _load(optimiser, checkpoint)
+    if remark:
+        eta.tell("optimise", remark)
+    _skip_done(optimiser, eta)
     checks, every = _check_at(optimiser.preset), max(1, iterations // 50)
     slow = _first_visits(optimiser.preset, len(optimiser.targets))
     saved, cost = time.monotonic(), 0.0
-    course.rest()
+    eta.forget()
     while optimiser.iteration < iterations and not optimiser.stop.reason:
         number, size = optimiser.iteration, optimiser.size_now()
         if optimiser.must_look:
             optimiser.look()
-            course.did(_look(size))
+            eta.did(_look(size))
         parts = optimiser.step()
         if number in slow:
-            course.forecast.skip(_learn(size), 1)
-            course.rest()
+            eta.skip(_learn(size), 1)
+            eta.forget()
         else:
-            course.did(_learn(size))
+            eta.did(_learn(size))
         if number % every == 0 or number == iterations - 1:
             history.append({"iteration": number, **parts})
         if optimiser.iteration in checks and optimiser.check() is not None:
-            course.did("check")
+            eta.did("check")
         begun = time.monotonic()
         if begun - saved > CHECKPOINT_SECONDS + cost / CHECKPOINT_SHARE:
-            _save({"optimiser": optimiser.state(), "history": history}, path)
+            _save(optimiser, history, checkpoint)
             saved = time.monotonic()
             cost = saved - begun
-            course.rest()
-        course.say("optimise", f"Iteration {number + 1} of {iterations}", parts)
+            eta.forget()
+        eta.tell("optimise", f"Iteration {number + 1} of {iterations}", parts)
     optimiser.use_best()
     return history
 
 
-def _skip_done(optimiser: Optimiser, course: Course) -> None:
+def _skip_done(optimiser: Optimiser, eta: Eta) -> None:
     """Count as done what was done before a stop."""
     reached, optimiser.iteration = optimiser.iteration, 0
     for number in range(reached):
         optimiser.iteration = number
         size = optimiser.size_now()
-        course.forecast.skip(_learn(size), 1)
+        eta.skip(_learn(size), 1)
         if number in optimiser.looks:
-            course.forecast.skip(_look(size), 1)
+            eta.skip(_look(size), 1)
         if number + 1 in _check_at(optimiser.preset):
-            course.forecast.skip("check", 1)
+            eta.skip("check", 1)
     optimiser.iteration = reached
 
 
-def _save(state: dict[str, Any], path: Path) -> None:
-    temporary = path.with_suffix(".tmp")
-    torch.save(state, temporary)
-    os.replace(temporary, path)
+def _save(optimiser: Optimiser, history: list[dict[str, float]], checkpoint: Path) -> None:
+    state = optimiser.state()
+    seen = [None if mask is None else torch.from_numpy(mask) for mask in state["seen"]]
+    save_checkpoint(checkpoint / STATE, {"optimiser": {**state, "seen": seen}, "history": history})
+
+
+def _load(optimiser: Optimiser, checkpoint: Path) -> tuple[list[dict[str, float]], str]:
+    """Put the optimiser where a stopped run left it; returns that run's losses.
+
+    A checkpoint that cannot be used is put aside, since what it holds can be learned again; the second value then
+    says so, otherwise it is empty. Those of gskin 0.1.0 were pickles, which can run code, and are not even opened.
+    """
+    remove_leftovers(checkpoint)
+    path, old = checkpoint / STATE, checkpoint / OLD_STATE
+    if old.exists() or old.is_symlink():
+        old.unlink()
+        if not path.is_file():
+            return [], "The checkpoint of an older gskin is not read, the learning starts anew"
+    if not path.is_file():
+        return [], ""
+    before = copy.deepcopy(optimiser.state())
+    try:
+        state = load_checkpoint(path)
+        kept = state["optimiser"]
+        optimiser.restore({**kept, "seen": [None if mask is None else mask.numpy() for mask in kept["seen"]]})
+        if not 0 <= optimiser.iteration <= optimiser.preset.iterations:
+            raise ValueError(f"iteration {optimiser.iteration}")
+        return [dict(parts) for parts in state["history"]], ""
+    # What a checkpoint of another version, or one that somebody made up, may stumble over.
+    except (InputError, AttributeError, IndexError, KeyError, TypeError, ValueError, RuntimeError) as error:
+        optimiser.restore(before)
+        path.unlink()
+        return [], f"The checkpoint cannot be used ({first_line(error)}), the learning starts anew"

@@ -7,6 +7,7 @@ for.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[Any]
 InitialWeights = Callable[
-    [SplatCloud, Skeleton, Array, "Sequence[Camera]", Mapping[str, Any], "Array | None", Tick],
+    [SplatCloud, Skeleton, Array | None, "Sequence[Camera]", Mapping[str, Any], "Array | None", Tick],
     tuple[Array, "Array | None"],
 ]
 
@@ -118,14 +119,16 @@ def initial_weights_geodesic(
 
 
 def _visibility(
-    cloud: SplatCloud, skeleton: Skeleton, masks: Array, cameras: Sequence[Camera], options: Mapping[str, Any],
+    cloud: SplatCloud, skeleton: Skeleton, masks: Array | None, cameras: Sequence[Camera], options: Mapping[str, Any],
     walls: Array | None, tick: Tick,
 ) -> tuple[Array, None]:  # fmt: skip
+    if masks is None:
+        raise ValueError("visibility looks at masks; see `needs_masks`")
     return initial_weights_visibility(cloud.means, skeleton, masks, cameras, tick=tick), None
 
 
 def _geodesic(
-    cloud: SplatCloud, skeleton: Skeleton, masks: Array, cameras: Sequence[Camera], options: Mapping[str, Any],
+    cloud: SplatCloud, skeleton: Skeleton, masks: Array | None, cameras: Sequence[Camera], options: Mapping[str, Any],
     walls: Array | None, tick: Tick,
 ) -> tuple[Array, None]:  # fmt: skip
     weights = initial_weights_geodesic(
@@ -135,7 +138,7 @@ def _geodesic(
 
 
 def _heat(
-    cloud: SplatCloud, skeleton: Skeleton, masks: Array, cameras: Sequence[Camera], options: Mapping[str, Any],
+    cloud: SplatCloud, skeleton: Skeleton, masks: Array | None, cameras: Sequence[Camera], options: Mapping[str, Any],
     walls: Array | None, tick: Tick,
 ) -> tuple[Array, None]:  # fmt: skip
     from .learned.predict import heat_weights
@@ -144,7 +147,7 @@ def _heat(
 
 
 def _learned(
-    cloud: SplatCloud, skeleton: Skeleton, masks: Array, cameras: Sequence[Camera], options: Mapping[str, Any],
+    cloud: SplatCloud, skeleton: Skeleton, masks: Array | None, cameras: Sequence[Camera], options: Mapping[str, Any],
     walls: Array | None, tick: Tick,
 ) -> tuple[Array, Array]:  # fmt: skip
     from .learned.predict import learned_weights
@@ -164,6 +167,15 @@ sum to 1, and confidence (N,) in [0, 1] or None where the method has no opinion.
 
 DEFAULT_INITIAL = "learned"
 
+PRESENT = "present"
+"""Not a method: the weights that the splats have, which a job brings along (`core/job/scope.py`)."""
+
+
+def needs_masks(name: str) -> bool:
+    """Whether the method `name` looks at pictures of the object."""
+    return name == "visibility"
+
+
 OPTIONS: dict[str, tuple[str, ...]] = {"learned": ("model",)}
 """By name, the options that a method knows. `model`: a file made by `gskin train-prior`."""
 
@@ -177,7 +189,7 @@ def check_options(name: str, options: Mapping[str, Any]) -> None:
             raise InputError(f"The initial weights '{name}' have no option '{key}'; {takes}.")
         if not isinstance(value, str):
             raise InputError(f"The option '{key}' of the initial weights is {value!r}; it must be a path.")
-        if value and not Path(value).is_file():
+        if value and not os.path.isfile(value):  # Path's own raises for names that no system has
             raise InputError(f"The model '{value}' does not exist; name a file made by gskin train-prior.")
 
 
@@ -197,7 +209,7 @@ def initial_with_confidence(
     name: str,
     cloud: SplatCloud,
     skeleton: Skeleton,
-    masks: Array,
+    masks: Array | None,
     cameras: Sequence[Camera],
     options: Mapping[str, Any] | None = None,
     *,

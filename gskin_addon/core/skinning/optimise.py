@@ -49,7 +49,8 @@ class Optimiser:
     (bounding-box diagonal 1), so that the loss weights mean the same for every asset.
 
     `held_out` are targets that are only looked at, by `check`. `confidence` (M,), 0 to 1, says for each node how
-    far the initial weights are trusted by the anchor loss; everywhere where left out. `prune=False` renders in
+    far the initial weights are trusted by the anchor loss; everywhere where left out. `movable` (M,) says
+    which nodes may change; the others keep the field's initial weights and only help to draw. `prune=False` renders in
     every view also the splats that it cannot see.
     """
 
@@ -65,6 +66,7 @@ class Optimiser:
         losses: LossWeights = DEFAULT_LOSSES,
         held_out: Sequence[Target] = (),
         confidence: NDArray[Any] | None = None,
+        movable: NDArray[np.bool_] | None = None,
         prune: bool = True,
         seed: int = 0,
         background: tuple[float, float, float] = (1.0, 1.0, 1.0),
@@ -92,6 +94,7 @@ class Optimiser:
         nodes, self._neighbours = self._poser.nodes, self._poser.neighbours
         self._nodes = nodes
         self._anchor = Anchor(field, confidence)
+        self._movable = None if movable is None else torch.from_numpy(movable)[:, None]
         self._coupling = prepare_coupling(nodes, skeleton, neighbours=losses.coupling_neighbours)
         step = max(1, len(nodes) // 5000)
         edges = nodes[self._neighbours[::step]] - nodes[::step, None]
@@ -102,7 +105,6 @@ class Optimiser:
         size = self.size_now()
         if self.must_look:
             self.look()
-        self.field.unlock(self.iteration / max(self.preset.iterations, 1))
         for group in self._adam.param_groups:
             group["lr"] = self._rate * self._decay()
         batch = [self._next_target() for _ in range(min(self.preset.batch, len(self.targets)))]
@@ -114,7 +116,7 @@ class Optimiser:
     def weights(self) -> NDArray[np.float32]:
         """The present weights of the poser's nodes (M, B), rows sum to 1."""
         with torch.no_grad():
-            return self.field().numpy()
+            return self._weights().numpy()
 
     def check(self) -> float | None:
         """Mean photometric loss of the held-out targets, all splats rendered; keeps the best weights so far.
@@ -125,7 +127,7 @@ class Optimiser:
             return None
         size = self.preset.stages[-1][0]
         with torch.no_grad():
-            weights = self.field()
+            weights = self._weights()
             losses = []
             for index, target in enumerate(self._held_out.targets):
                 means, quats = self._posed(weights, target.transforms[None])
@@ -158,7 +160,6 @@ class Optimiser:
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a `state` of an optimiser with the same inputs."""
         self.iteration = int(state["iteration"])
-        self.field.unlock((self.iteration - 1) / max(self.preset.iterations, 1))
         self.field.load_state_dict(state["field"])
         self._adam.load_state_dict(state["adam"])
         self._rng.bit_generator.state = state["rng"]
@@ -183,7 +184,7 @@ class Optimiser:
     def look(self, size: int | None = None) -> None:
         """Find out which splats the views see with the present weights, at the next iteration's image size."""
         with torch.no_grad():
-            weights = self.field()
+            weights = self._weights()
         self._views.look(lambda transforms: self._posed(weights, transforms), size or self.size_now())
         self._looked = self.iteration
 
@@ -194,10 +195,14 @@ class Optimiser:
         self._descend(np.linspace(0, len(self.targets) - 1, count).astype(int).tolist(), size)
         self._rng.bit_generator.state = state
 
+    def _weights(self) -> torch.Tensor:
+        weights: torch.Tensor = self.field()
+        return weights if self._movable is None else torch.where(self._movable, weights, self.field.initial())
+
     def _descend(self, batch: Sequence[int], size: int) -> dict[str, float]:
         """The gradient of the loss on the targets `batch`, into the field; returns the parts of the loss."""
         transforms = np.stack([self.targets[i].transforms for i in batch])
-        weights = self.field()
+        weights = self._weights()
         if self._device_renderer is not None:
             render, nodes = self._device_renderer(weights, transforms, self._views.by_scene(batch, size))
         else:

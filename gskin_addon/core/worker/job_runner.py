@@ -11,45 +11,34 @@ import signal
 import sys
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from ..errors import Cancelled, GSkinError, InputError
 from ..job.progress import CancelFlag, Progress
 from . import parent_watch
 
-MODULES = ("numpy", "scipy", "numba", "torch", "safetensors")
-"""What the interpreter of a worker must have."""
+if TYPE_CHECKING:
+    from ..job.contract import Job
+    from ..pipeline.result import SkinResult
+
+MODULES = ("numpy",)
+"""What the interpreter of a worker must have for a job that neither renders nor learns."""
+RUNTIME_MODULES = ("numpy", "scipy", "numba", "torch", "safetensors")
+"""What it must have for the others; see `JobSettings.needs_runtime`."""
 
 _LAST_RESORT = 2.0
 """Seconds after which a cancelled process ends whatever it is doing, should its supervisor be gone."""
 
 
-class Outcome(Protocol):
-    """What a pipeline returns: weights (N, B) with rows that sum to 1, a report, pictures by name; where there are
-    such, mesh_weights (V, B) of a proxy mesh and confidence (N,) in 0..1."""
-
-    @property
-    def weights(self) -> Any: ...
-    @property
-    def report(self) -> Mapping[str, Any]: ...
-    @property
-    def previews(self) -> Mapping[str, Any]: ...
-
-    @property
-    def mesh_weights(self) -> Any: ...
-    @property
-    def confidence(self) -> Any: ...
-
-
-Pipeline = Callable[[Any, Any, dict[str, Any], Progress, Path], Outcome]
+Pipeline = Callable[[Any, Any, dict[str, Any], Progress, Path], "SkinResult"]
 
 
 def main(folder: str | Path, pipeline: Pipeline | None = None) -> int:
     """Run the job in `folder` and return the exit code; JSON lines go to the real stdout, prints to stderr.
 
-    `pipeline` is core/worker/pipeline.run unless another is given.
+    `pipeline` is core/pipeline/run.py unless another is given.
     """
     send = take_stdout()
     cancelled = CancelFlag()
@@ -82,8 +71,6 @@ def run_job(
     """
     progress = Progress(send, cancelled)
     progress("start", 0.0, {}, "Reading the job")
-    if pipeline is None:
-        check_modules()
     from ..job.contract import LOCK, is_finished, read_job, write_result
     from ..job.lock import job_lock
 
@@ -94,15 +81,14 @@ def run_job(
         if not is_finished(folder):
             started = time.monotonic()
             if pipeline is None:
-                progress("start", 0.0, {}, "Loading torch")
-                pipeline = _load_pipeline()
+                pipeline = _load_pipeline(job, progress)
             job.checkpoint.mkdir(exist_ok=True)
-            outcome = pipeline(job.cloud, job.skeleton, job.settings, progress, job.checkpoint)
+            result = pipeline(job.cloud, job.skeleton, job.settings, progress, job.checkpoint)
             seconds = time.monotonic() - started
             progress("write", 1.0, {}, "Writing the weights", 0.0)
-            report = {**outcome.report, "worker": {"seconds": round(seconds, 2), **_machine()}}
+            report = {**result.report, "worker": {"seconds": round(seconds, 2), **_machine()}}
             write_result(
-                job, outcome.weights, report, outcome.previews, outcome.mesh_weights, outcome.confidence
+                job, result.weights, report, result.previews, result.mesh_weights, result.confidence
             )
     send({"stage": "done", "fraction": 1.0, "seconds_left": 0.0, "losses": {}, "message": "Done"})
 
@@ -135,7 +121,14 @@ def explain(error: BaseException) -> tuple[int, str, str]:
     return 1, f"The worker failed with {type(error).__name__}: {words}"[:500], details
 
 
-def _load_pipeline() -> Pipeline:
+def _load_pipeline(job: Job, progress: Progress) -> Pipeline:
+    from ..job.settings import JobSettings
+    from ..pipeline.run import run
+
+    if not JobSettings.parse(job.settings).needs_runtime:
+        return run
+    progress("start", 0.0, {}, "Loading torch")
+    check_modules(RUNTIME_MODULES)
     try:
         import numba  # noqa: F401
         import torch  # noqa: F401
@@ -144,8 +137,6 @@ def _load_pipeline() -> Pipeline:
             f"The worker's interpreter '{sys.executable}' has a broken installation ({error}); install again "
             f"with: {sys.executable} -m pip install --force-reinstall torch numba"
         ) from error
-    from ..pipeline.run import run
-
     return run
 
 

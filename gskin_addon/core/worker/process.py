@@ -58,7 +58,8 @@ def main(arguments: list[str] | None = None) -> int:
         job_runner = importlib.import_module(f"{package}.core.worker.job_runner")
         return int(job_runner.main(folders[0]))
     supervisor = importlib.import_module(f"{package}.core.worker.supervisor")
-    command = [sys.executable, "-u", os.path.abspath(__file__), "--compute", folders[0]]
+    isolated = ["-I"] if sys.flags.isolated else []
+    command = [sys.executable, *isolated, "-u", os.path.abspath(__file__), "--compute", folders[0]]
     return int(supervisor.supervise(command))
 
 

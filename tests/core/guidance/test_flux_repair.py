@@ -21,7 +21,8 @@ from gskin_addon.core.guidance.diffusion import Frame
 from gskin_addon.core.guidance.flux_repair import FluxPainter, whole_tokens
 from gskin_addon.core.guidance.options import FluxOptions
 from gskin_addon.core.guidance.provider import GuidanceContext, to_bytes
-from gskin_addon.core.pipeline import run as pipeline
+from gskin_addon.core.pipeline import steps as pipeline_steps
+from gskin_addon.core.pipeline.run import run
 from gskin_addon.core.render.camera import paper_views
 from gskin_addon.core.render.rasterizer import render_cloud
 from gskin_addon.core.skinning import presets
@@ -173,7 +174,7 @@ def test_the_provider_makes_images_and_goes_on_after_a_stop(context, painter, tm
 
 def test_a_whole_job(model, painter, tmp_path, monkeypatch):
     monkeypatch.setitem(presets.PRESETS, "draft", presets.Preset("for tests", 2, ((16, 4), (32, 4)), 2, held_out=0))
-    monkeypatch.setattr(pipeline, "GUIDANCE_SIZE", SIZE)
+    monkeypatch.setattr(pipeline_steps, "GUIDANCE_SIZE", SIZE)
     monkeypatch.setattr(flux_repair, "FluxPainter", lambda folder, options: painter)  # loaded already
     limb = make_limb(500)
     settings = {"preset": "draft", "guidance": "flux_repair", "options": {"model": str(model), "device": "cpu"}}
@@ -182,7 +183,7 @@ def test_a_whole_job(model, painter, tmp_path, monkeypatch):
     def progress(stage, fraction, losses=None, message="", *more):
         told.append((stage, fraction, message))
 
-    outcome = pipeline.run(limb.cloud, limb.skeleton, settings, progress, tmp_path)
+    outcome = run(limb.cloud, limb.skeleton, settings, progress, tmp_path)
     assert outcome.report["guidance_images"] == len(list((tmp_path / "guidance").glob("*.png"))) == 8
     np.testing.assert_allclose(outcome.weights.sum(1), 1, atol=1e-5)
     messages = [message for stage, _, message in told if stage == "guidance"]

@@ -3,27 +3,15 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
+from without import output_without
 
-ROOT = Path(__file__).resolve().parents[3]
-BLOCK = (
-    "import sys\n"
-    "for name in ('scipy', 'numba', 'torch', 'PIL', 'trimesh', 'safetensors'):\n"
-    "    sys.modules[name] = None\n"
-)
+HEAVY = ("scipy", "numba", "torch", "PIL", "trimesh", "safetensors")
 
 
 def run(code: str) -> str:
     """What the code prints in a Python that has numpy only."""
-    done = subprocess.run(
-        [sys.executable, "-c", BLOCK + code], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    return output_without(HEAVY, code)
 
 
 def test_rig_and_the_names_of_initial_weights_need_numpy_only():

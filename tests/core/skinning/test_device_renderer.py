@@ -83,11 +83,11 @@ def test_a_gpu_that_only_warp_has_takes_arrays(task, monkeypatch):
 
 
 def test_a_job_says_what_drew(tmp_path, monkeypatch):
-    from gskin_addon.core.pipeline import run as pipeline
+    from gskin_addon.core.pipeline import steps
     from gskin_addon.core.skinning import presets
 
     monkeypatch.setitem(presets.PRESETS, "draft", PRESET)
-    monkeypatch.setattr(pipeline, "GUIDANCE_SIZE", 64)
+    monkeypatch.setattr(steps, "GUIDANCE_SIZE", 64)
     limb = make_limb(300)
     settings = {"preset": "draft", "guidance": "elastic", "rasterizer": "warp"}
     outcome = run(limb.cloud, limb.skeleton, settings, lambda *_: None, tmp_path)

@@ -4,13 +4,13 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 from safetensors.torch import save_file
 
+from ...files import replaced
 from ...rig.bone_roles import ROLES
 from ...skinning.learned.features import NAMES
 from ...skinning.learned.model_file import FORMAT, ModelCard
@@ -35,6 +35,5 @@ def save_model(networks: Sequence[PriorNetwork], path: Path, card: ModelCard) ->
     }
     # One entry only: safetensors keeps several in an order of its own, and equal trainings shall give equal bytes.
     metadata = {FORMAT: json.dumps(about)}
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    save_file(tensors, temporary, metadata)
-    os.replace(temporary, path)
+    with replaced(path) as temporary:
+        save_file(tensors, temporary, metadata)

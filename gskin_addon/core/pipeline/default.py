@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The default recipe: initial weights, in seconds, with nothing but numpy."""
+
+from __future__ import annotations
+
+from ..skinning.initial import needs_masks
+from .eta import Eta, Report
+from .result import SkinResult
+from .steps import (
+    JobInputs,
+    finish_weights,
+    guidance_cameras,
+    initial_weights,
+    job_report,
+    learning_subset,
+    masks_for,
+    prepare_splats,
+    weight_change,
+)
+
+
+def run(job: JobInputs, report: Report) -> SkinResult:
+    """Weights of all splats from their initial weights alone. Raises Cancelled where `report` does."""
+    size = job.cloud.count / 50_000
+    eta = Eta(
+        report,
+        {"splats": (1, 0.06 * size), "initial": (1, 2.0 + 0.8 * size), "finish": (1, 0.2 * size)},
+    )
+    eta.tell("initial", "Preparing the splats")
+    splats = prepare_splats(job)
+    masks, cameras = None, []
+    if needs_masks(job.settings.init):
+        cameras = guidance_cameras(job, splats.cloud)
+        masks = masks_for(job.settings.init, learning_subset(job, splats, cameras).cloud, cameras)
+    eta.did("splats")
+    initial, confidence = initial_weights(job, splats, masks, cameras, eta)
+    eta.reach("initial", 1.0)
+    eta.end_stage("initial")
+
+    eta.tell("finish", "Weights of all splats")
+    weights = finish_weights(job, splats, initial.copy())
+    eta.end_stage("finish")
+    change = weight_change(weights, initial)
+    return SkinResult(
+        weights, job_report(job, splats, weights, change, confidence, eta, {}), confidence=confidence
+    )
