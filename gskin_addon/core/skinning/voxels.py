@@ -15,12 +15,16 @@ from ..errors import InputError
 from ..rig.nearest_points import nearest_points
 from ..rig.quaternion import quat_to_matrix
 from ..splats.components import label_voxels
+from ..ticks import Tick, silent
 from .extent import robust_bounds
 from .voxel_filters import close_holes, dilate, fill_holes, outside
 
 Array = NDArray[Any]
 
 _PAD = 3  # empty voxels on every side, so that the outside is connected
+_OFFSETS = [(a, b) for a, b in itertools.product((-1.0, -0.5, 0.0, 0.5, 1.0), repeat=2) if a * a + b * b <= 1]
+"""Along the two longer axes of a large splat, in standard deviations, where it covers voxels."""
+
 _ENCLOSED = 23  # of 26 directions: a voxel shut in this far is inside, in spite of holes
 
 
@@ -67,6 +71,7 @@ def voxelize(
     quats: Array | None = None,
     faint: float = 0.1,
     walls: Array | None = None,
+    tick: Tick = silent,
 ) -> VoxelGrid:
     """Fill the object that splats cover.
 
@@ -85,7 +90,9 @@ def voxelize(
         seen = np.ones(len(means), dtype=bool)
     if len(means) < 2:
         raise InputError(f"{len(means)} splats have no shape; initial weights need at least two splats.")
+    tick(0.0)
     low, high = robust_bounds(means[seen])
+    tick(0.1)
     seen &= ((means >= low) & (means <= high)).all(axis=1)
     points = means[seen]
     longest = float((high - low).max()) or 1.0
@@ -96,12 +103,16 @@ def voxelize(
     places: Iterable[Array] = [points]
     if scales is not None and quats is not None:
         places = itertools.chain(places, _spread(points, scales[seen], quats[seen], pitch))
-    for place in places:
+    tick(0.2)
+    for number, place in enumerate(places):
+        tick(0.25 + 0.3 * number / (1 + len(_OFFSETS)))
         index = np.floor((place - origin) / pitch).astype(np.int64)
         index = index[((index >= 0) & (index < shape)).all(axis=1)]
         shell[tuple(index.T)] = True
     shell = _without_specks(shell)
+    tick(0.6)
     grid = VoxelGrid(_filled(shell), shell, origin, pitch)
+    tick(0.9)
     if walls is not None:
         labels = _voxel_walls(grid, points, np.asarray(walls)[seen])
         grid = dataclasses.replace(grid, walls=labels)
@@ -151,10 +162,8 @@ def _spread(points: Array, scales: Array, quats: Array, pitch: float) -> Iterato
     first = np.take_along_axis(axes, order[:, None, :1], axis=2)[..., 0]
     second = np.take_along_axis(axes, order[:, None, 1:], axis=2)[..., 0]
     del axes
-    steps = (-1.0, -0.5, 0.0, 0.5, 1.0)
-    for a, b in itertools.product(steps, steps):
-        if a * a + b * b <= 1:
-            yield points + (a * first + b * second)
+    for a, b in _OFFSETS:
+        yield points + (a * first + b * second)
 
 
 def _without_specks(shell: Array) -> Array:

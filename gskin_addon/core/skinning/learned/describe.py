@@ -72,11 +72,12 @@ def look_at(
     """
     walls = None if walls is None else np.asarray(walls)
     _, size = unit_frame(cloud.means)
+    tick(0.0)
     grid = voxelize(
-        cloud.means, cloud.opacities, resolution, scales=cloud.scales, quats=cloud.quats, walls=walls
-    )
-    tick(0.08)
-    index = even_subset(cloud.means, limit)
+        cloud.means, cloud.opacities, resolution, scales=cloud.scales, quats=cloud.quats, walls=walls,
+        tick=stretch(tick, 0.0, 0.08),
+    )  # fmt: skip
+    index = even_subset(cloud.means, limit, stretch(tick, 0.08, 0.1))
     part, own = cloud.select(index), None if walls is None else walls[index]
     segments = bone_segments(skeleton)
     ways = geodesic_distances(
@@ -87,9 +88,12 @@ def look_at(
     around = nearest_points(points, points, min(NEIGHBOURS, len(points)))
     normals = surface_normals(points, near=around[1])
     tick(0.43)
-    fine = voxelize(cloud.means, cloud.opacities, NORMAL_RESOLUTION, scales=cloud.scales, quats=cloud.quats)
-    tick(0.5)
+    fine = voxelize(
+        cloud.means, cloud.opacities, NORMAL_RESOLUTION, scales=cloud.scales, quats=cloud.quats,
+        tick=stretch(tick, 0.43, 0.5),
+    )  # fmt: skip
     out = agreed(points, outward(points, normals, fine), distances.min(axis=1), size, around)
+    tick(0.53)
     faced = facing_distances(points, out, segments, ways, CLOSEST * size)
     tick(0.55)
     graph = build_graph(part.means, distances, HEAT_NODES, walls=own)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ...rig.nearest_points import nearest_points
 from ...splats.components import connected_components
+from ...ticks import Tick, silent
 from ..walls import blocked, nearest_open
 
 Array = NDArray[Any]
@@ -110,15 +111,16 @@ def _neighbourhood(points: Array, profile: Array, size: int, k: int, walls: Arra
     return np.where(beyond, np.take_along_axis(index, first[:, None], 1), index)
 
 
-def even_subset(points: Array, count: int) -> Array:
+def even_subset(points: Array, count: int, tick: Tick = silent) -> Array:
     """About `count` well spread points, one of each voxel of a grid: indices, ascending."""
     if len(points) <= count:
         return np.arange(len(points))
-    lower = np.percentile(points, 0.5, axis=0)
-    side = float(np.ptp(np.percentile(points, [0.5, 99.5], axis=0), axis=0).max()) or 1.0
+    lower, upper = np.percentile(points, [0.5, 99.5], axis=0)
+    side = float((upper - lower).max()) or 1.0
     low, high = 1.0, 4096.0
     best: Array = np.arange(min(count, len(points)))
-    for _ in range(12):
+    for turn in range(12):
+        tick(turn / 12)
         middle = float(np.sqrt(low * high))
         cells = np.floor((points - lower) / side * middle).astype(np.int64).clip(-8192, 8191) + 8192
         key = (cells[:, 0] * 16384 + cells[:, 1]) * 16384 + cells[:, 2]
@@ -131,13 +133,21 @@ def even_subset(points: Array, count: int) -> Array:
 
 
 def apart(
-    index: Array, way: Array, profile: Array, *, rows: Array | None = None, walls: Array | None = None
+    index: Array,
+    way: Array,
+    profile: Array,
+    *,
+    rows: Array | None = None,
+    pitch: float | None = None,
+    walls: Array | None = None,
 ) -> Array:
     """(N, k) bool: no body lies between point n (or rows[n]) and point index[n, k], `way` apart; their distances to
-    some bone, profile (M, B), differ by more than that way allows, or a wall of walls (M,) is between."""
+    some bone, profile (M, B), differ by more than that way allows, or a wall of walls (M,) is between. pitch: the
+    least way that counts; the median of `way` unless given."""
     rows = np.arange(len(index)) if rows is None else rows
-    pitch = np.float32(np.median(way)) if way.size else np.float32(1)
-    limit = np.float32(_APART) * np.maximum(np.asarray(way, np.float32), pitch)
+    if pitch is None:
+        pitch = float(np.median(way)) if way.size else 1.0
+    limit = np.float32(_APART) * np.maximum(np.asarray(way, np.float32), np.float32(pitch))
     profile = np.ascontiguousarray(profile, np.float32)
     out = np.zeros(index.shape, bool)
     step = max(1, _ROWS * 64 // (max(index.shape[1], 1) * profile.shape[1]))

@@ -33,7 +33,7 @@ CAUTION = 0.3
 the network has seen, and leaves the others as they are."""
 
 SPREAD = 6
-_CHUNK = 50_000
+_CHUNK = 25_000
 
 
 def learned_weights(
@@ -54,10 +54,11 @@ def learned_weights(
         InputError: fewer than two splats, or the model cannot be used.
     """
     networks = _loaded(model or SHIPPED)
-    body = look_at(cloud, skeleton, limit=NODES, walls=walls, tick=stretch(tick, 0.0, 0.6))
-    weights, confidence = predict_nodes(networks, body, skeleton.count, tick=stretch(tick, 0.6, 0.95))
+    nodes = _nodes_share(cloud.count)
+    body = look_at(cloud, skeleton, limit=NODES, walls=walls, tick=stretch(tick, 0.0, 0.6 * nodes))
+    weights, confidence = predict_nodes(networks, body, skeleton.count, tick=stretch(tick, 0.6 * nodes, nodes))
     held = hold(weights, body.points, skeleton, body.size)
-    return spread(cloud, body, held, confidence, walls=walls, tick=stretch(tick, 0.95, 1.0))
+    return spread(cloud, body, held, confidence, walls=walls, tick=stretch(tick, nodes, 1.0))
 
 
 def heat_weights(
@@ -70,9 +71,15 @@ def heat_weights(
     Raises:
         InputError: fewer than two splats.
     """
-    body = look_at(cloud, skeleton, limit=NODES, rows=8, walls=walls, tick=stretch(tick, 0.0, 0.9))
+    nodes = _nodes_share(cloud.count)
+    body = look_at(cloud, skeleton, limit=NODES, rows=8, walls=walls, tick=stretch(tick, 0.0, nodes))
     sure = np.ones(len(body.index), np.float32)
-    return spread(cloud, body, body.reach.heat, sure, walls=walls, tick=stretch(tick, 0.9, 1.0))[0]
+    return spread(cloud, body, body.reach.heat, sure, walls=walls, tick=stretch(tick, nodes, 1.0))[0]
+
+
+def _nodes_share(count: int) -> float:
+    """Share of the work that is done for the nodes alone: as much as spreading to 700,000 splats is."""
+    return 1 - count / (count + 700_000)
 
 
 @lru_cache(maxsize=2)
@@ -112,11 +119,12 @@ def spread(
     if len(body.index) == cloud.count:
         return weights, confidence
     colors = cloud.base_colors()
+    pitch = float(np.median(nearest_points(body.points, body.points, min(SPREAD, len(body.index)))[0]))
     out, sure = np.empty((cloud.count, weights.shape[1]), np.float32), np.empty(cloud.count, np.float32)
     for first in range(0, cloud.count, _CHUNK):
         rows = slice(first, min(first + _CHUNK, cloud.count))
         own = None if walls is None else np.asarray(walls)[rows]
-        share, near = _shares(body, cloud.means[rows], colors[rows], own)
+        share, near = _shares(body, cloud.means[rows], colors[rows], pitch, own)
         block = np.zeros((len(near), weights.shape[1]), np.float32)
         for column in range(near.shape[1]):
             block += share[:, column : column + 1] * weights[near[:, column]]
@@ -127,8 +135,11 @@ def spread(
     return out, sure
 
 
-def _shares(body: Body, points: Array, colors: Array, walls: Array | None) -> tuple[Array, Array]:
-    """Shares and indices (n, SPREAD) of the nodes that splats follow; walls (n,): labels of the splats."""
+def _shares(
+    body: Body, points: Array, colors: Array, pitch: float, walls: Array | None
+) -> tuple[Array, Array]:
+    """Shares and indices (n, SPREAD) of the nodes that splats follow; pitch: the usual way between neighbouring nodes;
+    walls (n,): labels of the splats."""
     way, near = nearest_points(body.points, points, min(SPREAD, len(body.index)))
     beyond = np.zeros(near.shape, bool)
     if walls is not None and body.walls is not None:
@@ -138,7 +149,7 @@ def _shares(body: Body, points: Array, colors: Array, walls: Array | None) -> tu
         way[lost, 0], near[lost, 0] = nearest_open(body.points, points[lost], body.walls, walls[lost])
         beyond[:, 0] = False
     between = np.linalg.norm(body.points[near] - body.points[near[:, :1]], axis=-1)
-    far = apart(near, between, body.reach.distances, rows=near[:, 0], walls=body.walls) | beyond
+    far = apart(near, between, body.reach.distances, rows=near[:, 0], pitch=pitch, walls=body.walls) | beyond
     reach = np.where(beyond, 0, way).max(axis=1, keepdims=True) * 1.001 + 1e-12
     share = (1 - np.minimum(way / reach, 1)) ** 2 + 1e-6
     unlike = np.square(body.colors[near] - colors[:, None]).sum(-1)
