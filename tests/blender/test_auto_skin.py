@@ -18,6 +18,7 @@ import pretend
 import pytest
 import worker_jobs as jobs
 from mathutils import Matrix
+from needs import WORKER, only_with
 from patience import wait_until
 from pretend import add_armature
 
@@ -528,6 +529,7 @@ def test_what_is_said_of_time():
     assert time_left(3900) == "1 h 05 min left"
 
 
+@only_with(*WORKER)
 def test_the_real_worker_end_to_end(scene, monkeypatch):
     monkeypatch.setattr(skin_job, "WorkerClient", WorkerClient)
     splats, armature = add_rod(count=400), add_armature()
