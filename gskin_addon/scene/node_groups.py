@@ -175,8 +175,8 @@ def _build(group: bpy.types.NodeTree) -> None:
     borrowed = tree.object_geometry(tree.output(source, OCTAHEDRA))
     # Where the settings were just changed, the helper may have another number; then faces are made the slow way.
     corners = tree.math("MULTIPLY", tree.domain_size(seen, "POINTCLOUD"), float(CORNERS))
-    inputs = {0: corners, 1: tree.domain_size(borrowed, "MESH"), 2: 0.5}
-    fits = tree.out("ShaderNodeMath", "Value", inputs, operation="COMPARE")
+    operands = {0: corners, 1: tree.domain_size(borrowed, "MESH"), 2: 0.5}
+    fits = tree.out("ShaderNodeMath", "Value", operands, operation="COMPARE")
     bright = tree.math("SUBTRACT", 1.0, faint)
     made = instances(tree.object_geometry(ensure_octahedra(1)), wider, bright)
     made = tree.out("GeometryNodeRealizeInstances", "Geometry", {"Geometry": made})

@@ -122,7 +122,8 @@ def _write_columns(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
         if kind is not None:
             write_attribute(mesh, names.EXTRA.format(column), kind, values)
             kept.append(column)
-    up = mesh[names.MARK].get("up") if names.MARK in mesh else None
+    mark = mesh.get(names.MARK)
+    up = None if mark is None else mark.get("up")
     mesh[names.MARK] = {"version": VERSION, "sh_degree": cloud.sh_degree, "extra": "\n".join(kept)}
     if up is not None:
         mesh[names.MARK]["up"] = up
