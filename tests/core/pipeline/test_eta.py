@@ -14,23 +14,23 @@ from gskin_addon.core.skinning.presets import PRESETS
 
 # Seconds for each piece: an easy job, one whose pictures are slow, one whose large images are slow, a slow machine.
 _EASY = {
-    "splats": 0.06, "initial": 1.5, "distances": 0.5, "first image": 1.2, "guidance": 0.08, "look": 1.0, 256: 0.05,
-    512: 0.12, "check": 0.1, "finish": 1.0,
+    "splats": 0.06, "initial": 1.5, "distances": 0.5, "first image": 1.2, "guidance": 0.08, "visibility": 1.0,
+    256: 0.05, 512: 0.12, "check": 0.1, "finish": 1.0,
 }  # fmt: skip
 COSTS = {
     "even": _EASY,
     "slow guidance": {**_EASY, "guidance": 9.0},
-    "steep in size": {**_EASY, "guidance": 0.05, "look": 0.4, 256: 0.03, 512: 0.4, "check": 0.4, "finish": 2.0},
+    "steep in size": {**_EASY, "guidance": 0.05, "visibility": 0.4, 256: 0.03, 512: 0.4, "check": 0.4, "finish": 2.0},
     "many bones": {
-        "splats": 0.25, "initial": 6.0, "distances": 6.0, "first image": 6.0, "guidance": 0.6, "look": 5.0, 256: 0.9,
-        512: 1.5, "check": 0.5, "finish": 9.0,
+        "splats": 0.25, "initial": 6.0, "distances": 6.0, "first image": 6.0, "guidance": 0.6, "visibility": 5.0,
+        256: 0.9, 512: 1.5, "check": 0.5, "finish": 9.0,
     },
 }  # fmt: skip
 
 
 def cost(kind, table):
     word, _, size = kind.partition(" at ")
-    return table["look"] if word == "look" else table[int(size)] if word == "learn" else table[word]
+    return table["visibility"] if word == "visibility" else table[int(size)] if word == "learn" else table[word]
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -46,14 +46,14 @@ def test_after_a_tenth_of_the_run_the_end_is_known_within_a_fifth(name, preset):
 
     def do(kind):
         spend(kind)
-        eta.did(kind)
-        eta.tell("stage", "")
+        eta.record(kind)
+        eta.report("stage", "")
 
     do("splats")
     for kind in kinds:
         for _ in range(TRIALS if kind.startswith("learn") else " at " in kind):
             spend(kind)
-            eta.tried(kind)
+            eta.record_trial(kind)
     for kind in kinds:
         for _ in range(kinds[kind][0] - (kind == "splats")):
             do(kind)
@@ -76,13 +76,13 @@ class Clock:
         self.now = 0.0
         self.eta = Eta(lambda *_: None, kinds, clock=lambda: self.now)
 
-    def did(self, kind, seconds, pieces=1):
+    def record(self, kind, seconds, pieces=1):
         self.now += seconds
-        self.eta.did(kind, pieces)
+        self.eta.record(kind, pieces)
 
-    def tried(self, kind, seconds):
+    def record_trial(self, kind, seconds):
         self.now += seconds
-        self.eta.tried(kind)
+        self.eta.record_trial(kind)
 
 
 def test_guesses_follow_the_speed_of_what_was_measured():
@@ -126,9 +126,9 @@ def test_parts_of_a_piece_move_the_bar():
     clock = Clock({"one": (1, 1.0), "rest": (1, 1.0)})
     for step in range(1, 5):
         clock.now += 0.5
-        clock.eta.reach("one", step / 4)
+        clock.eta.record_up_to("one", step / 4)
         assert clock.eta.fraction() == pytest.approx(step / 8)
-    clock.eta.reach("one", 0.5)  # never falls
+    clock.eta.record_up_to("one", 0.5)  # never falls
     assert clock.eta.fraction() == pytest.approx(0.5)
     assert clock.eta.seconds_left() == pytest.approx(2.0)
 

@@ -198,9 +198,9 @@ def _biped(plan: Plan) -> None:
         hand = plan.chain(made[-1], plan.tails[made[-1]], way, np.array([0.2 * reach]), thick, 1.0, skin, bend=0.1,
                           names=("Hand",))[0]  # fmt: skip
         for finger in range(int(rng.integers(0, 5)) if rng.random() < 0.4 else 0):
-            spread = way + [0.0, 0.5 * (finger - 2), 0]
+            along = way + [0.0, 0.5 * (finger - 2), 0]
             at = plan.tails[hand]
-            plan.chain(hand, at, spread, np.full(rng.integers(1, 4), 0.08 * reach), 0.3 * thick, 0.9, skin, bend=0.1,
+            plan.chain(hand, at, along, np.full(rng.integers(1, 4), 0.08 * reach), 0.3 * thick, 0.9, skin, bend=0.1,
                        names=("Finger",))  # fmt: skip
         tips.append(hand)
 

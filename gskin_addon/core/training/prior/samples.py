@@ -17,7 +17,7 @@ from ...rig.kinematics import pose_transforms
 from ...rig.lbs import skin_points
 from ...rig.poses import random_axes, random_poses
 from ...rig.skeleton import Skeleton
-from ...skinning.learned.describe import look_at
+from ...skinning.learned.describe import describe_body
 from ...skinning.learned.features import NAMES
 from ...skinning.learned.parts import neighbourhoods
 from ..rigged import RiggedMesh
@@ -84,7 +84,7 @@ class Lesson:
 def make_lesson(subject: Subject, rng: np.random.Generator, rows: int = ROWS) -> Lesson:
     """Describe a subject."""
     cloud, skeleton = subject.cloud, subject.skeleton
-    body = look_at(cloud, skeleton, rows=rows, resolution=int(rng.integers(56, 76)))
+    body = describe_body(cloud, skeleton, rows=rows, resolution=int(rng.integers(56, 76)))
     at = body.index[body.rows]
     points = body.points[body.rows]
     near, wide = neighbourhoods(points, body.reach.distances[body.rows])

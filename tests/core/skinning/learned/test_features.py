@@ -10,7 +10,7 @@ import pytest
 
 from gskin_addon.core.rig.segments import bone_segments
 from gskin_addon.core.rig.skeleton import Skeleton
-from gskin_addon.core.skinning.learned.describe import look_at
+from gskin_addon.core.skinning.learned.describe import describe_body
 from gskin_addon.core.skinning.learned.features import NAMES, TOKENS, Reach, describe
 from gskin_addon.core.training.prior import creatures
 
@@ -19,7 +19,7 @@ from gskin_addon.core.training.prior import creatures
 def scene():
     """A creature with everything that `describe` wants."""
     subject = creatures.generate(np.random.default_rng(5), creatures.KINDS[0][0])  # a biped
-    body = look_at(subject.cloud, subject.skeleton, limit=800)
+    body = describe_body(subject.cloud, subject.skeleton, limit=800)
     return subject.skeleton, body
 
 

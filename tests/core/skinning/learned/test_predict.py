@@ -64,14 +64,14 @@ def test_better_than_distances_on_creatures_that_were_not_trained():
 
 def test_equal_runs_give_equal_bits_wherever_the_body_is():
     limb = make_limb(1500)
-    here, sure = learned_weights(limb.cloud, limb.skeleton)
+    here, confidence_out = learned_weights(limb.cloud, limb.skeleton)
     again, _ = learned_weights(limb.cloud, limb.skeleton)
     np.testing.assert_array_equal(here, again)
     far = replace(limb.cloud, means=limb.cloud.means * 50 + 7, scales=limb.cloud.scales * 50)
     there, _ = learned_weights(far, limb.skeleton.moved(np.eye(3), 50.0, (7, 7, 7)))
     assert np.abs(here - there).sum(axis=1).mean() < 0.05
     assert np.abs(here - limb.weights).sum(axis=1).mean() / 2 < 0.15
-    assert sure.mean() > 0.5
+    assert confidence_out.mean() > 0.5
 
 
 def test_one_bone_takes_all():
