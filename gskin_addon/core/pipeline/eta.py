@@ -71,7 +71,8 @@ class Eta:
         kinds: Mapping[str, tuple[int, float]],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """report: the callback that gets the progress; kinds: name -> (pieces, guessed seconds for each), in the order of the run."""
+        """report: called with the progress; kinds: name -> (pieces, guessed seconds for each), in
+        the order of the run."""
         self.stage_seconds: dict[str, float] = {}
         self._kinds = {name: WorkKind(pieces, guess) for name, (pieces, guess) in kinds.items()}
         self._report, self._clock = report, clock
@@ -89,7 +90,7 @@ class Eta:
         self.skip(kind, pieces)
 
     def record_up_to(self, kind: str, fraction: float) -> None:
-        """A kind is done up to `fraction` (0 to 1) of its pieces; the new ones took the time since the last piece of any kind."""
+        """A kind is done up to `fraction` (0 to 1) of its pieces; the new ones took the time since the last piece."""
         work = self._kinds[kind]
         ahead = min(fraction, 1.0) * work.pieces - work.done
         if ahead > 0:

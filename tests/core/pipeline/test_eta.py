@@ -88,9 +88,9 @@ class Clock:
 def test_guesses_follow_the_speed_of_what_was_measured():
     clock = Clock({"a": (10, 1.0), "b": (10, 2.0)})
     assert clock.eta.seconds_left() == pytest.approx(30)
-    clock.did("a", 6.0, 2)  # three times slower than guessed
+    clock.record("a", 6.0, 2)  # three times slower than guessed
     assert clock.eta.seconds_left() == pytest.approx(8 * 3 + 10 * 6)
-    clock.tried("b", 1.0)
+    clock.record_trial("b", 1.0)
     assert clock.eta.seconds_left() == pytest.approx(8 * 3 + 10)
 
 
@@ -98,9 +98,9 @@ def test_a_resumed_run_begins_where_it_stood():
     clock = Clock({"a": (4, 1.0), "b": (4, 1.0)})
     clock.eta.skip("a", 4)
     assert clock.eta.fraction() == pytest.approx(0.5)
-    clock.tried("b", 3.0)
+    clock.record_trial("b", 3.0)
     assert clock.eta.seconds_left() == pytest.approx(12)
-    clock.did("b", 3.0, 4)
+    clock.record("b", 3.0, 4)
     assert clock.eta.fraction() == 1.0
     assert Clock({}).eta.fraction() == 0.0
 
@@ -108,17 +108,17 @@ def test_a_resumed_run_begins_where_it_stood():
 def test_a_machine_that_gets_busy_after_the_trials_is_noticed():
     clock = Clock({"small": (80, 0.1), "large": (120, 0.3)})
     for _ in range(3):
-        clock.tried("small", 0.1)
-        clock.tried("large", 0.3)
+        clock.record_trial("small", 0.1)
+        clock.record_trial("large", 0.3)
     for _ in range(40):
-        clock.did("small", 0.15)  # half as slow again as when it was tried
+        clock.record("small", 0.15)  # half as slow again as when it was tried
     assert clock.eta.seconds_left() == pytest.approx(40 * 0.15 + 120 * 0.45, rel=0.05)
     for _ in range(40):
-        clock.did("small", 0.1)
+        clock.record("small", 0.1)
     for _ in range(30):
-        clock.did("large", 0.3)
+        clock.record("large", 0.3)
     for _ in range(30):
-        clock.did("large", 0.6)
+        clock.record("large", 0.6)
     assert clock.eta.seconds_left() == pytest.approx(60 * 0.6, rel=0.2)
 
 

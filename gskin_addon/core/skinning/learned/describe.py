@@ -45,8 +45,8 @@ class Body:
     """Some splats of an object, described.
 
     index (N,): which splats; points, colors, normals, out (N, 3), see `outward_normals` and
-    `consistent_normals`; reach and parts of these N splats; walls (N,): their labels, or None; rows (M,): the described ones among them; description; size: the
-    object's diagonal.
+    `consistent_normals`; reach and parts of these N splats; walls (N,): their labels, or None;
+    rows (M,): the described ones among them; description; size: the object's diagonal.
     """
 
     index: Array
