@@ -158,7 +158,7 @@ def creature_lesson(seed: int, cache: Path) -> Path:
     path = lesson_file(cache, "creature", seed)
     if not _current(path):
         rng = np.random.default_rng(seed_of("creature", seed))
-        make_lesson(disturb(creatures.generate(rng), rng), rng).save(path)
+        make_lesson(disturb(creatures.generate_creature(rng), rng), rng).save(path)
     return path
 
 

@@ -18,7 +18,7 @@ from gskin_addon.core.training.prior import creatures
 @pytest.fixture(scope="module")
 def scene():
     """A creature with everything that `describe` wants."""
-    subject = creatures.generate(np.random.default_rng(5), creatures.KINDS[0][0])  # a biped
+    subject = creatures.generate_creature(np.random.default_rng(5), creatures.KINDS[0][0])  # a biped
     body = describe_body(subject.cloud, subject.skeleton, limit=800)
     return subject.skeleton, body
 

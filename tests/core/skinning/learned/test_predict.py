@@ -46,7 +46,7 @@ def test_better_than_distances_on_creatures_that_were_not_trained():
     """Their seeds are not of the form that `creature_lesson` makes."""
     ratios = []
     for seed in (1, 2, 3, 4):
-        subject = creatures.generate(np.random.default_rng([seed, 20_011]))
+        subject = creatures.generate_creature(np.random.default_rng([seed, 20_011]))
         cloud, skeleton = subject.cloud, subject.skeleton
         weights, confidence = learned_weights(cloud, skeleton)
         check(weights, confidence, cloud, skeleton)

@@ -15,7 +15,7 @@ from gskin_addon.core.rig.bone_roles import ROLES, bone_roles
 from gskin_addon.core.rig.lbs import skin_points
 from gskin_addon.core.rig.skeleton import Skeleton
 from gskin_addon.core.training.prior import creatures, rig_changes
-from gskin_addon.core.training.prior.capsules import Plan, cover_with_splats
+from gskin_addon.core.training.prior.capsules import RigBuilder, cover_with_splats
 from gskin_addon.core.training.prior.samples import Lesson, make_lesson, posed_lesson
 from gskin_addon.core.training.prior.torch_network import make_batch
 from gskin_addon.core.training.prior.train import (
@@ -33,7 +33,7 @@ def syllabus(tmp_path_factory):
     """One creature, one lesson."""
     rng = np.random.default_rng(11)
     path = tmp_path_factory.mktemp("lessons") / "one.npz"
-    make_lesson(creatures.generate(rng), rng, rows=100).save(path)
+    make_lesson(creatures.generate_creature(rng), rng, rows=100).save(path)
     return Syllabus({"made up": {"one": [path]}})
 
 
@@ -104,7 +104,7 @@ def test_a_stopped_training_goes_on_and_ends_the_same(syllabus, tmp_path):
 
 def test_changed_skeletons_keep_the_weights_whole():
     rng = np.random.default_rng(3)
-    subject = creatures.generate(rng)
+    subject = creatures.generate_creature(rng)
     points, skeleton, weights = subject.cloud.means.astype(float), subject.skeleton, subject.weights
     size = 2.0
     split, shared = rig_changes.split_bones(skeleton, weights, points, rng, 3, size)
@@ -130,7 +130,7 @@ def test_changed_skeletons_keep_the_weights_whole():
 
 def test_changed_skeletons_keep_what_bones_are_for():
     rng = np.random.default_rng(4)
-    subject = creatures.generate(rng, creatures.KINDS[0][0])  # a biped
+    subject = creatures.generate_creature(rng, creatures.KINDS[0][0])  # a biped
     points, skeleton, weights = subject.cloud.means.astype(float), subject.skeleton, subject.weights
     roles = bone_roles(skeleton.names)
     assert {"head", "upper leg", "hand"} <= {ROLES[role] for role in roles}
@@ -146,16 +146,16 @@ def test_changed_skeletons_keep_what_bones_are_for():
 
 def test_buried_bones_start_deeper_in_the_flesh_of_their_parent():
     """A wing on a trunk moves towards the trunk's axis, by one share for all; a bone as thick as its parent stays."""
-    plan = Plan(np.random.default_rng(0))
-    trunk = plan.bone(-1, np.array([0, 0, 0.0]), np.array([0, 0, 1.0]))
-    plan.cover(trunk, 0.5, 0.5, np.ones(3))
-    neck = plan.chain(trunk, np.array([0, 0, 1.0]), np.array([0, 0, 1.0]), np.ones(1), 0.5, 1.0, np.ones(3))[0]
+    rig = RigBuilder(np.random.default_rng(0))
+    trunk = rig.add_bone(-1, np.array([0, 0, 0.0]), np.array([0, 0, 1.0]))
+    rig.add_capsule(trunk, 0.5, 0.5, np.ones(3))
+    neck = rig.add_chain(trunk, np.array([0, 0, 1.0]), np.array([0, 0, 1.0]), np.ones(1), 0.5, 1.0, np.ones(3))[0]
     side, out = np.array([0.5, 0, 0.6]), np.array([1.0, 0, 0])
-    plan.limbs(lambda: plan.chain(trunk, side, out, np.ones(2), 0.1, 1.0, np.ones(3)))
-    skeleton = Skeleton(tuple("abcdef"), np.array(plan.parents), np.array(plan.heads), np.array(plan.tails))
+    rig.add_mirrored(lambda: rig.add_chain(trunk, side, out, np.ones(2), 0.1, 1.0, np.ones(3)))
+    skeleton = Skeleton(tuple("abcdef"), np.array(rig.parents), np.array(rig.heads), np.array(rig.tails))
     shares = []
     for seed in range(60):
-        buried = creatures.bury_roots(skeleton, plan, np.random.default_rng(seed))
+        buried = creatures.bury_limb_roots(skeleton, rig, np.random.default_rng(seed))
         np.testing.assert_array_equal(buried.tails, skeleton.tails)
         wings = [2, 4]
         np.testing.assert_array_equal(np.delete(buried.heads, wings, 0), np.delete(skeleton.heads, wings, 0))
@@ -164,7 +164,7 @@ def test_buried_bones_start_deeper_in_the_flesh_of_their_parent():
         shares.append(1 - buried.heads[2, 0] / 0.5)
     moved = np.array(shares) > 0
     assert neck == 1
-    assert moved.mean() == pytest.approx(creatures.BURIED, abs=0.2)
+    assert moved.mean() == pytest.approx(creatures.BURIED_ROOTS, abs=0.2)
     assert 0.2 <= np.array(shares)[moved].min() < np.array(shares)[moved].max() <= 1
 
 
@@ -188,7 +188,7 @@ def test_names_are_forgotten_in_some_lessons(syllabus):
 def test_creatures_differ_and_are_whole(grow):
     sizes = set()
     for seed in range(4):
-        subject = creatures.generate(np.random.default_rng(seed), grow)
+        subject = creatures.generate_creature(np.random.default_rng(seed), grow)
         subject.skeleton.validate()
         assert 2000 < subject.cloud.count < 6000
         np.testing.assert_allclose(subject.weights.sum(axis=1), 1, atol=1e-5)
@@ -199,13 +199,13 @@ def test_creatures_differ_and_are_whole(grow):
 
 def test_what_drapes_follows_its_bone_above_and_the_nearest_below():
     """A skirt of one hip and two legs: all hip at the waist, half of it the own side's leg at the hem."""
-    plan = Plan(np.random.default_rng(0))
-    hip = plan.bone(-1, np.array([0, 0, 1.0]), np.array([0, 0, 1.2]))
-    legs = [plan.bone(hip, np.array([x, 0, 1.0]), np.array([x, 0, 0.0])) for x in (-0.2, 0.2)]
+    rig = RigBuilder(np.random.default_rng(0))
+    hip = rig.add_bone(-1, np.array([0, 0, 1.0]), np.array([0, 0, 1.2]))
+    legs = [rig.add_bone(hip, np.array([x, 0, 1.0]), np.array([x, 0, 0.0])) for x in (-0.2, 0.2)]
     span = (np.array([0, 0, 1.0]), np.array([0, 0, 0.2]))
-    plan.cover(hip, 0.3, 0.5, np.ones(3), segment=span, drape=tuple(legs), sag=0.5)
-    skeleton = Skeleton(("hip", "left", "right"), np.array(plan.parents), np.array(plan.heads), np.array(plan.tails))
-    points, _, weights = cover_with_splats(plan, skeleton, 3000)
+    rig.add_capsule(hip, 0.3, 0.5, np.ones(3), segment=span, drape=tuple(legs), sag=0.5)
+    skeleton = Skeleton(("hip", "left", "right"), np.array(rig.parents), np.array(rig.heads), np.array(rig.tails))
+    points, _, weights = cover_with_splats(rig, skeleton, 3000)
     np.testing.assert_allclose(weights.sum(axis=1), 1)
     high, low, left = points[:, 2] > 1, points[:, 2] < 0.2, points[:, 0] < -0.1
     np.testing.assert_allclose(weights[high, 0], 1)
