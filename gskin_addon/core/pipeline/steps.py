@@ -21,7 +21,7 @@ from ..rig.skeleton import Skeleton
 from ..skinning.extent import unit_frame
 from ..skinning.initial import PRESENT, initial_with_confidence, needs_masks
 from ..skinning.subset import SplatSubset, follow_nearest
-from ..splats.cleanup import Hygiene
+from ..splats.cleanup import Cleanup
 from ..splats.cloud import SplatCloud
 from .eta import Eta
 
@@ -86,9 +86,9 @@ class PreparedSplats:
 def prepare_splats(job: JobInputs) -> PreparedSplats:
     """Bring a job to unit size and find its bad splats."""
     cloud, skeleton = to_unit_size(job.cloud, job.skeleton)
-    hygiene = Hygiene.parse(job.settings.hygiene)
-    ignored, bad = hygiene.find(cloud)
-    shaped, needles = hygiene.shape(cloud)
+    cleanup = Cleanup.parse(job.settings.hygiene)
+    ignored, bad = cleanup.find(cloud)
+    shaped, needles = cleanup.shape(cloud)
     return PreparedSplats(cloud, shaped, skeleton, ignored, {**bad, **needles})
 
 

@@ -17,7 +17,7 @@ from .capsules import RigBuilder, cover_with_splats
 from .synthetic_objects import random_color
 
 if TYPE_CHECKING:
-    from .examples import Subject
+    from .examples import TrainingBody
 
 Array = NDArray[Any]
 BURIED_ROOTS = 0.5
@@ -27,12 +27,12 @@ LEG = ("UpperLeg", "LowerLeg", "Foot")
 ARM = ("UpperArm", "LowerArm")
 
 
-def generate_creature(rng: np.random.Generator, grow: Callable[[RigBuilder], None] | None = None) -> Subject:
+def generate_creature(rng: np.random.Generator, grow: Callable[[RigBuilder], None] | None = None) -> TrainingBody:
     """A random creature, about 2 units large, with up to 6000 splats and weights that follow a rule.
 
     grow: one of `KINDS`, by default a random one.
     """
-    from .examples import Subject
+    from .examples import TrainingBody
 
     rig = RigBuilder(rng)
     kinds, often = zip(*KINDS, strict=True)
@@ -50,7 +50,7 @@ def generate_creature(rng: np.random.Generator, grow: Callable[[RigBuilder], Non
         rng.uniform(0.8, 0.99, count).astype(np.float32),
         ((colors - 0.5) / SH_C0)[:, None].astype(np.float32),
     )
-    return Subject(cloud, skeleton, weights.astype(np.float32), np.ones(count, bool))
+    return TrainingBody(cloud, skeleton, weights.astype(np.float32), np.ones(count, bool))
 
 
 def bury_limb_roots(skeleton: Skeleton, rig: RigBuilder, rng: np.random.Generator) -> Skeleton:
