@@ -78,7 +78,7 @@ class GuidedStage:
         """Choose what draws. Raises InputError where it is not there."""
         preset, losses = preset_by_name(job.settings.preset), LossWeights.parse(job.settings.losses)
         rasterizer, remark = choose_backend(job.settings.rasterizer)
-        eta.tell("initial", remark or "Preparing the splats")
+        eta.report("initial", remark or "Preparing the splats")
         return cls(job, eta, preset, losses, rasterizer, remark)
 
     def try_out_on_splats(
@@ -125,10 +125,10 @@ class GuidedStage:
         confidence (M,) in the nodes' initial weights, or None; movable (M,): nodes that may change, all if left out.
         """
         chosen, preset, eta = self.job.settings, self.preset, self.eta
-        eta.tell("guidance", "Distances through the body")
+        eta.report("guidance", "Distances through the body")
         walls = None if self.job.scope.walls is None else self.job.scope.walls[subset.index]
         distances = body_distances(subset.cloud, skeleton, walls=walls)
-        eta.did("distances")
+        eta.record("distances")
         weight_field = create_field(self._field_name(), poser.nodes, nodes, chosen.field_options)
         context = GuidanceContext(
             subset.cloud,
@@ -139,7 +139,7 @@ class GuidedStage:
             options=chosen.options,
             seed=chosen.seed,
             checkpoint=self.job.checkpoint,
-            tick=lambda done, message: eta.tell("guidance", message),
+            tick=lambda done, message: eta.report("guidance", message),
         )
         signals = make_signals(skeleton, list(cameras), preset.poses_per_view, np.random.default_rng(chosen.seed))
         # Poses of their own, from their own seed: the others stay the same whatever is held out.
@@ -189,7 +189,7 @@ class GuidedStage:
         images: Pictures,
     ) -> Poser:
         chosen, preset, eta = self.job.settings, self.preset, self.eta
-        eta.tell("prepare", "Trying out an iteration")
+        eta.report("prepare", "Trying out an iteration")
         weight_field = create_field(self._field_name(), poser.nodes, rough, chosen.field_options)
         signals = make_signals(skeleton, list(cameras), TRIAL_POSES, np.random.default_rng(chosen.seed))
         rest = [to_bytes(image) for image in images]
