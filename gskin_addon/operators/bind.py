@@ -9,9 +9,12 @@ import bpy
 from bpy_extras.io_utils import ImportHelper
 
 from ..core.errors import GSkinError
-from ..core.job.contract import read_weights as read_weights_file
+from ..core.rig.weights_file import read_weights_file
+from ..scene.binding import bind
 from ..scene.bone_frames import armature_of
-from ..scene.weights import bind, update_rotation_weights, write_weights
+from ..scene.influences import splats_without_bones
+from ..scene.splat_object import splat_count
+from ..scene.weights import update_rotation_weights, write_weights
 from ..session.chosen import chosen_armature, chosen_splats
 
 
@@ -71,6 +74,15 @@ class GSKIN_OT_bind_to_armature(bpy.types.Operator):
         except GSkinError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
+        still, total = splats_without_bones(splats), splat_count(splats)
+        if still:
+            self.report(
+                {"WARNING"},
+                f"{still:,} of {total:,} splats have no weights for bones of '{armature.name}' and stay as they are; "
+                "paint weights, load them or run Auto-Skin",
+            )
+        else:
+            self.report({"INFO"}, f"{total:,} splats follow '{armature.name}'")
         return {"FINISHED"}
 
 

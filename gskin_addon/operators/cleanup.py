@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..core.errors import GSkinError
+from ..core.errors import GSkinError, InputError
 from ..scene.cleanup import (
     begin_selecting,
     find_bad_splats,
@@ -108,7 +108,12 @@ class GSKIN_OT_clean_splats(_Finder, bpy.types.Operator):
             return {"CANCELLED"}
         try:
             bad, counts = find_bad_splats(obj, strays=self.strays, faint_giants=self.faint_giants)
-            if bad.any() and not bad.all():
+            if bad.all():
+                raise InputError(
+                    f"All {total:,} splats of '{obj.name}' are strays or faint giants, so nothing was changed: "
+                    "no splat would be left; switch off Strays or Faint Giants."
+                )
+            if bad.any():
                 if self.action == "ASIDE":
                     put_aside(obj, bad)
                 else:
@@ -118,7 +123,11 @@ class GSKIN_OT_clean_splats(_Finder, bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         words = _sentence(counts, total, "put aside" if self.action == "ASIDE" else "removed")
-        self.report({"INFO"}, f"{words}; {needles:,} needles widened" if self.max_aspect else words)
+        if self.max_aspect:
+            words += f"; {needles:,} needles widened"
+        if self.balls:
+            words += f"; {splat_count(obj):,} splats made balls"
+        self.report({"INFO"}, words)
         return {"FINISHED"}
 
 

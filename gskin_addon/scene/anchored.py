@@ -39,6 +39,18 @@ def anchor_to_mesh(obj: bpy.types.Object, proxy: bpy.types.Object, *, keep_resid
 
     Raises InputError: no splats, no usable mesh, modifiers that change the mesh's points, a mesh elsewhere.
     """
+    found = find_anchors(obj, proxy, keep_residual=keep_residual)
+    attach(obj, proxy, *found)
+    return found[0]
+
+
+def find_anchors(
+    obj: bpy.types.Object, proxy: bpy.types.Object, *, keep_residual: bool = True
+) -> tuple[Anchors, Array, Array]:
+    """What `anchor_to_mesh` would anchor, with verts (V, 3) in the splats' own space and faces (F, 3).
+
+    Changes nothing. Raises InputError as `anchor_to_mesh` does.
+    """
     cloud = read_cloud(obj, world=False)
     verts, faces = read_mesh(proxy)
     bpy.context.view_layer.update()
@@ -53,7 +65,13 @@ def anchor_to_mesh(obj: bpy.types.Object, proxy: bpy.types.Object, *, keep_resid
     label = f"'{proxy.name}'"
     anchors = anchor_splats(cloud.means, verts, faces, keep_residual=keep_residual, label=label)
     check_fit(anchors, cloud.means, verts, faces, label)
+    return anchors, verts, faces
 
+
+def attach(
+    obj: bpy.types.Object, proxy: bpy.types.Object, anchors: Anchors, verts: Array, faces: Array
+) -> None:
+    """Hang the splats on the mesh by what `find_anchors` found."""
     mesh = obj.data
     write_attribute(mesh, names.FACE, "INT", anchors.face)
     write_attribute(mesh, names.BARY, "FLOAT_VECTOR", anchors.bary)
@@ -74,7 +92,6 @@ def anchor_to_mesh(obj: bpy.types.Object, proxy: bpy.types.Object, *, keep_resid
     modifier.node_group = anchor_group()
     set_input(modifier, PROXY_INPUT, proxy)
     set_input(modifier, MESH_INPUT, _anchor_mesh(proxy.name, verts, faces))
-    return anchors
 
 
 def release(obj: bpy.types.Object) -> None:

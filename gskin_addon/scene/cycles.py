@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import bpy
 import mathutils
 import numpy as np
 
+from ..core.files import replaced
 from ..core.render.camera import EVALUATION_AZIMUTHS, orbit_views, percentile_bounds
 from .posing import posed_cloud
 from .render import render_still
@@ -49,9 +49,5 @@ def render_view(
     world.use_nodes = True
     world.node_tree.nodes["Background"].inputs["Color"].default_value = (*linear.tolist(), 1.0)
     scene.world = world
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp.png").absolute()
-    try:
+    with replaced(path, ".png") as temporary:
         render_still(scene, temporary, size=(size, size))
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)

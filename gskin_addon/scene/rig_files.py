@@ -3,15 +3,13 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 from pathlib import Path
 from typing import Any
 
 import bpy
 
 from ..core.errors import GSkinError, InputError
-from ..core.files import disk_error
+from ..core.files import replaced
 from .bone_frames import is_bone_frames
 from .splat_object import is_splat_object
 
@@ -61,17 +59,12 @@ def find_splats(path: Path, name: str | None = None) -> bpy.types.Object:
 
 def save_blend(path: Path) -> None:
     """Save the present file at `path`, by way of a temporary file. Raises GSkinError where that fails."""
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp.blend").absolute()
     try:
-        bpy.ops.wm.save_as_mainfile(filepath=str(temporary), check_existing=False, copy=True, compress=True)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise disk_error(error, path) from error
+        with replaced(path, ".blend") as temporary:
+            temporary.unlink()  # Blender would keep what is there as a backup, .blend1
+            bpy.ops.wm.save_as_mainfile(filepath=str(temporary), check_existing=False, copy=True, compress=True)
     except RuntimeError as error:
         raise GSkinError(f"'{path}' could not be written ({_reason(error)}); check folder and free space.") from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 def _append(path: Path) -> None:

@@ -151,10 +151,11 @@ class GSkinGuidance(bpy.types.PropertyGroup):
         """The job's options of a guidance; empty for those that need no model."""
         if guidance not in PROVIDER_OPTIONS:
             return {}
-        options = getattr(self, guidance).as_options()
-        if self.allow_download and online():
-            options["allow_download"] = True
-        return options
+        return getattr(self, guidance).as_options()
+
+    def may_download(self) -> bool:
+        """Whether the person agreed to fetch what is missing, and Blender may go online at all."""
+        return self.allow_download and online()
 
 
 CLASSES = (GSkinFluxRepair, GSkinLightningDrag, GSkinGuidance)

@@ -7,6 +7,7 @@ for.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -173,7 +174,7 @@ def check_options(name: str, options: Mapping[str, Any]) -> None:
             raise InputError(f"The initial weights '{name}' have no option '{key}'; {takes}.")
         if not isinstance(value, str):
             raise InputError(f"The option '{key}' of the initial weights is {value!r}; it must be a path.")
-        if value and not Path(value).is_file():
+        if value and not os.path.isfile(value):  # Path's own raises for names that no system has
             raise InputError(f"The model '{value}' does not exist; name a file made by gskin train-prior.")
 
 

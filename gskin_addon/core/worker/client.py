@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..errors import Cancelled, GSkinError, InputError
+from ..guidance.consent import with_consent
 from ..job.contract import Result, read_result
 from ..job.progress import ProgressEvent
 from .interpreter import worker_environment
@@ -52,11 +53,20 @@ class WorkerClient:
     """Seconds after `cancel` at which a worker that is still there is killed."""
 
     def __init__(
-        self, python: str | Path, folder: str | Path, program: Path = PROGRAM, *, gentle: bool = False
+        self,
+        python: str | Path,
+        folder: str | Path,
+        program: Path = PROGRAM,
+        *,
+        gentle: bool = False,
+        allow_download: bool = False,
     ) -> None:
-        """gentle: the worker gives way to other programs, so that a window stays quick while it runs."""
+        """gentle: the worker gives way to other programs, so that a window stays quick while it runs.
+
+        allow_download: the person agreed, for this run, to fetch models that are missing.
+        """
         self.python, self.folder = Path(python), Path(folder)
-        self._gentle = gentle
+        self._gentle, self._allow_download = gentle, allow_download
         self.state: State = "new"
         self.error = ""
         self.traceback = ""
@@ -86,7 +96,7 @@ class WorkerClient:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
-                env=worker_environment(),
+                env=with_consent(worker_environment(), self._allow_download),
                 creationflags=flags,
             )
         except OSError as error:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 from typing import Any
 
@@ -13,19 +12,14 @@ import torch
 
 pytest.importorskip("warp")
 
+from render_scenes import SCENES, make_scene
+
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.render import reference
 from gskin_addon.core.render.camera import Camera, look_at
 from gskin_addon.core.render.cpu import backend as cpu
 from gskin_addon.core.render.photometric import photometric_loss
 from gskin_addon.core.render.rasterizer import prepare
-
-_spec = importlib.util.spec_from_file_location("render_scenes", Path(__file__).with_name("scenes.py"))
-assert _spec is not None
-assert _spec.loader is not None
-_scenes = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(_scenes)
-SCENES, make_scene = _scenes.SCENES, _scenes.make_scene
 
 BACKGROUND = np.array([0.2, 0.5, 0.9], np.float32)
 

@@ -34,9 +34,6 @@ class WeightField(torch.nn.Module):
         """The initial weights (N, B) as the field takes them: at least about `LOG_FLOOR`."""
         return self._prior.exp()
 
-    def unlock(self, part: float) -> None:
-        """Told before each iteration what part of the run is done; fields that learn in stages override it."""
-
     def query(self, points: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.bool_]] | None:
         """Learned logits (M, B) at other points (M, 3), and where they are known (M,); None where a field is no
         function of space, or cannot be asked."""

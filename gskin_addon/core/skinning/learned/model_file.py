@@ -7,13 +7,13 @@ A model is one network or several of a shape, trained alike from different seeds
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...errors import InputError
+from ...files import replaced
 from ...rig.bone_roles import ROLES
 
 if TYPE_CHECKING:
@@ -55,9 +55,8 @@ def save_model(networks: Sequence[PriorNetwork], path: Path, card: ModelCard) ->
     }
     # One entry only: safetensors keeps several in an order of its own, and equal trainings shall give equal bytes.
     metadata = {FORMAT: json.dumps(about)}
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    save_file(tensors, temporary, metadata)
-    os.replace(temporary, path)
+    with replaced(path) as temporary:
+        save_file(tensors, temporary, metadata)
 
 
 def read_card(path: Path) -> ModelCard:

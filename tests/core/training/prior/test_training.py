@@ -8,6 +8,7 @@ import signal
 import numpy as np
 import pytest
 import torch
+from patience import interrupts
 
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.rig.bone_roles import ROLES, bone_roles
@@ -223,7 +224,7 @@ def test_an_interrupt_never_leaves_half_a_step(syllabus, monkeypatch):
         return update(*arguments)
 
     monkeypatch.setattr(first, "step", interrupted)
-    with pytest.raises(KeyboardInterrupt):
+    with interrupts(), pytest.raises(KeyboardInterrupt):
         trainer.step()
     assert trainer.step_number == len(trainer.losses) == 1
     assert trainer._optimisers[1][0].state
