@@ -53,20 +53,25 @@ def folder(tmp_path, monkeypatch):
             bpy.context.preferences.addons.remove(addon)
 
 
+ICONS = set(bpy.types.UILayout.bl_rna.functions["label"].parameters["icon"].enum_items.keys())
+
+
 class Layout:
     """Writes down what is drawn: texts, properties, operators."""
 
     def __init__(self, drawn: list[str] | None = None) -> None:
         self.drawn = [] if drawn is None else drawn
 
-    def label(self, *, text: str, **look) -> None:
+    def label(self, *, text: str, icon: str = "NONE") -> None:
+        assert icon in ICONS
         self.drawn.append(text)
 
     def prop(self, owner, name: str, **look) -> None:
         assert name in owner.bl_rna.properties
         self.drawn.append(name)
 
-    def operator(self, name: str, **look) -> None:
+    def operator(self, name: str, *, text: str = "", icon: str = "NONE") -> None:
+        assert icon in ICONS
         group, _, word = name.partition(".")
         assert word in dir(getattr(bpy.ops, group))
         self.drawn.append(name)
