@@ -138,8 +138,8 @@ def interpolate_to_splats(
 def _shares(
     body: Body, points: Array, colors: Array, pitch: float, walls: Array | None
 ) -> tuple[Array, Array]:
-    """Shares and indices (n, NEAREST_NODES) of the nodes that splats follow; pitch: the usual way between neighbouring nodes;
-    walls (n,): labels of the splats."""
+    """Shares and indices (n, NEAREST_NODES) of the nodes that splats follow; pitch: the usual way between
+    neighbouring nodes; walls (n,): labels of the splats."""
     way, near = nearest_points(body.points, points, min(NEAREST_NODES, len(body.index)))
     beyond = np.zeros(near.shape, bool)
     if walls is not None and body.walls is not None:
