@@ -55,7 +55,7 @@ def guess_up(cloud: SplatCloud) -> UpGuess:
     points = points[:: max(1, len(points) // _SAMPLES)].astype(np.float64)
     if len(points) < 100:
         return unsure
-    lower, upper = np.percentile(points, [0.5, 99.5], axis=0)
+    lower, upper = np.percentile(points, [0.5, 99.5], axis=0).astype(np.float64)
     extent = upper - lower
     if extent.min() <= 0.0:
         return unsure
