@@ -51,8 +51,8 @@ class UpGuess:
 def guess_up(cloud: SplatCloud) -> UpGuess:
     """The up axis of a cloud with the file's own axes; z with confidence 0 where the splats do not tell."""
     unsure = UpGuess("z", "not sure which way is up", 0.0)
-    points = cloud.means[cloud.opacities >= _OPAQUE]
-    points = points[:: max(1, len(points) // _SAMPLES)].astype(np.float64)
+    opaque = cloud.means[cloud.opacities >= _OPAQUE]
+    points = opaque[:: max(1, len(opaque) // _SAMPLES)].astype(np.float64)
     if len(points) < 100:
         return unsure
     lower, upper = np.percentile(points, [0.5, 99.5], axis=0).astype(np.float64)
