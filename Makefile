@@ -6,13 +6,15 @@ RUN = $(VENV)/bin/python
 STAMP = $(VENV)/gskin-setup.sha256
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-window lint zip bench-speed bench-quality clean
+.PHONY: help venv demo test test-versions test-window test-runtime lint zip bench-speed bench-quality clean
 
 help:
 	@echo 'make venv           the environment in $(VENV), with all that gskin needs'
 	@echo 'make demo           a sample character, auto-skinned, into out/demo'
 	@echo 'make test           the test suite'
+	@echo 'make test-versions  what needs bpy, under pip bpy 4.5, 5.0, 5.2 and 5.3; ONLY=5.2,5.3 chooses'
 	@echo 'make test-window    the extension in a real Blender window; BLENDER=/path/to/blender, else (as root) one of Debian'
+	@echo 'make test-runtime   the learning runtime for real, from the package index pip is set up for: minutes, 5 GB'
 	@echo 'make lint           ruff and mypy'
 	@echo 'make zip            the Blender extension, into dist'
 	@echo 'make bench-speed    every bar of speed and memory; ONLY=iteration,standard and REPEATS=3 choose'
@@ -29,8 +31,14 @@ demo: $(STAMP)
 test: $(STAMP)
 	@$(RUN) -m pytest
 
+test-versions:
+	@$(PYTHON) tests/versions $(if $(ONLY),--only $(ONLY))
+
 test-window: $(STAMP)
 	@$(RUN) tests/window $(if $(PICTURES),--pictures)
+
+test-runtime: $(STAMP)
+	@$(RUN) tests/runtime
 
 lint: $(STAMP)
 	@$(RUN) -m ruff check .

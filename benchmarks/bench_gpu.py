@@ -151,7 +151,7 @@ def main() -> None:
     print("Warp's kernels on one thread of the processor" if options.on_cpu else cuda_device())
     task = make_task(options.splats, options.bones)
     size = 64 if options.on_cpu else SIZE
-    for backend in ("warp", "gsplat"):
+    for backend in ("warp",):
         try:
             resolve_backend(backend)
         except InputError as error:

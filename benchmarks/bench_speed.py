@@ -24,7 +24,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 import numpy as np
 import torch
 
-from benchmarks import bench_gpu, torch_rasterizer
+from benchmarks import bench_gpu, bench_response, torch_rasterizer
 from benchmarks.bench_rasterizer import measure, shell
 from benchmarks.figure import figure
 from benchmarks.jobs import Cost, run_job
@@ -32,7 +32,7 @@ from benchmarks.markers import write_between
 from gskin_addon.core.guidance.control import make_signals
 from gskin_addon.core.guidance.oracle import Oracle
 from gskin_addon.core.guidance.provider import GuidanceContext
-from gskin_addon.core.pipeline.run import to_unit_size
+from gskin_addon.core.pipeline.steps import to_unit_size
 from gskin_addon.core.render.backends import cuda_device
 from gskin_addon.core.render.camera import paper_views, percentile_bounds
 from gskin_addon.core.render.cpu.backend import prepare
@@ -200,6 +200,15 @@ def large_bars(repeats: int) -> Iterator[Bar]:
     yield Bar("large_draft_seconds", _middle(costs, lambda c: c.wall), None, core)
 
 
+def response_bars(repeats: int) -> Iterator[Bar]:
+    """What a person waits for in the window; of the calls that must never wait, and of cancelling, the slowest."""
+    yield Bar("response_read_seconds", bench_response.read_seconds(repeats), 0.8)
+    answers = bench_response.cancel_jobs(repeats)
+    yield Bar("response_poll_ms", 1000 * max(answers.poll), 50)
+    yield Bar("response_cancel_call_ms", 1000 * max(answers.cancel), 50)
+    yield Bar("response_cancelled_seconds", max(answers.end), 1.0)
+
+
 def gpu_bars(repeats: int) -> Iterator[str]:
     """What `bench_gpu` prints, by the GPU's name."""
     if not cuda_device():
@@ -217,6 +226,7 @@ BARS: dict[str, Callable[[int], Iterator[Bar | str]]] = {
     "gradient": gradient_bars,
     "iteration": iteration_bars,
     "rasterizer": rasterizer_bars,
+    "response": response_bars,
     "default": default_bars,
     "standard": standard_bars,
     "large": large_bars,

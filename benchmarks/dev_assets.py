@@ -22,7 +22,7 @@ from gskin_addon.core.guidance import create_provider
 from gskin_addon.core.guidance.control import make_signals
 from gskin_addon.core.guidance.oracle import Oracle
 from gskin_addon.core.guidance.provider import GuidanceContext
-from gskin_addon.core.pipeline.run import to_unit_size
+from gskin_addon.core.pipeline.steps import to_unit_size
 from gskin_addon.core.render.camera import evaluation_views, percentile_bounds
 from gskin_addon.core.render.rasterizer import render_cloud
 from gskin_addon.core.rig.lbs import skin_points, sparsify

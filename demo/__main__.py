@@ -13,8 +13,8 @@ import numpy as np
 
 from gskin_addon.commands.console import quiet_stdout
 from gskin_addon.core.files import write_text
-from gskin_addon.core.job.contract import read_weights
 from gskin_addon.core.rig.lbs import sparsify
+from gskin_addon.core.rig.weights_file import read_weights_file
 from gskin_addon.core.splats.ply import read_ply, write_ply
 
 SPLATS = 40_000
@@ -61,7 +61,7 @@ def main() -> int:
 
     say("comparing with the true weights")
     cloud = read_ply(ply).cloud
-    learned = read_weights(weights).weights
+    learned = read_weights_file(weights).weights
     start = sparsify(report.initial_of(cloud, skeleton), 4)
     scores = report.score(cloud, skeleton, truth, {"initial": start, "learned": learned})
     summary = report.table(scores)

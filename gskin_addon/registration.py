@@ -5,7 +5,21 @@ from __future__ import annotations
 
 import bpy
 
-from .operators import anchor, auto_skin, bind, check_python, cleanup, command_line, confidence, import_splats, place
+from .operators import (
+    anchor,
+    auto_skin,
+    bind,
+    cancel_runtime,
+    check_python,
+    cleanup,
+    command_line,
+    confidence,
+    import_splats,
+    install_runtime,
+    place,
+    remove_runtime,
+    repair_runtime,
+)
 from .scene import follow_display, follow_transforms, handlers, helpers
 from .session import guidance_settings, properties
 from .ui import panel, preferences, splat_panels
@@ -16,6 +30,10 @@ MODULES = (
     properties,
     preferences,
     check_python,
+    install_runtime,
+    repair_runtime,
+    cancel_runtime,
+    remove_runtime,
     import_splats,
     place,
     cleanup,

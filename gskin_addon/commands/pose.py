@@ -88,7 +88,7 @@ def parse_turns(given: list[list[str]]) -> dict[str, tuple[float, float, float]]
 def _assign_action(armature: bpy.types.Object, name: str) -> None:
     import bpy
 
-    action = bpy.data.actions.get(name)
+    action: bpy.types.Action | None = bpy.data.actions.get(name)
     if action is None:
         names = ", ".join(f"'{found.name}'" for found in bpy.data.actions) or "none"
         raise InputError(f"There is no action '{name}'; the file has {names}.")

@@ -72,7 +72,7 @@ def _pairs(options: argparse.Namespace, reporter: Reporter) -> None:
 def _tune(options: argparse.Namespace, reporter: Reporter) -> None:
     from ..core.training.guidance.finetune import tune
 
-    settings = {**parse_options(options.option, "--option"), "allow_download": options.allow_download}
-    sentence = tune(options.pairs, options.out, settings, reporter)
+    settings = parse_options(options.option, "--option")
+    sentence = tune(options.pairs, options.out, settings, reporter, allow_download=options.allow_download)
     reporter.close()
     say(sentence)

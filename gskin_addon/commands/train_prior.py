@@ -59,8 +59,9 @@ def run(options: argparse.Namespace) -> None:
 
 
 def _train(options: argparse.Namespace, syllabus: Syllabus, left: tuple[str, ...], clock: _Clock) -> None:
-    from ..core.skinning.learned.model_file import ModelCard, save_model
+    from ..core.skinning.learned.model_file import ModelCard
     from ..core.training.prior.train import Schedule, Trainer
+    from ..core.training.prior.write_model import save_model
 
     seeds = range(options.seed, options.seed + options.networks)
     trainers = [Trainer(syllabus, Schedule(steps=options.steps, seed=seed)) for seed in seeds]

@@ -24,3 +24,8 @@ class Cancelled(GSkinError):
 
 class Stopped(Cancelled):
     """The person stopped work that goes on later; says what stays (exit code 130)."""
+
+
+def first_line(error: BaseException) -> str:
+    """The first line of an error's text, without its full stop, to stand inside a sentence."""
+    return str(error).strip().split("\n")[0].rstrip(".") or type(error).__name__

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 
 import bpy
 
@@ -11,14 +12,18 @@ from ..core.errors import Cancelled, GSkinError
 from ..core.guidance.options import check_models
 from ..core.job.progress_text import ProgressPrinter
 from ..core.job.settings import JobSettings
+from ..scene.steps import Steps, run_for
 from ..session import running_job, status_bar
-from ..session.chosen import chosen_armature, chosen_splats, proxy_mesh
-from ..session.preferences import worker_python
+from ..session.chosen import chosen_armature, chosen_splats, panel_settings, proxy_mesh
+from ..session.preferences import job_python
 from ..session.readiness import what_is_missing
 from ..session.skin_job import SkinJob
 
 TICK = 0.1
 """Seconds between two looks at the worker."""
+
+WRITING = 0.05
+"""Seconds of each TICK in which weights are written; the rest is Blender's."""
 
 
 class GSKIN_OT_auto_skin(bpy.types.Operator):
@@ -31,6 +36,7 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
 
     _job: SkinJob | None = None
     _timer: bpy.types.Timer | None = None
+    _writing: Steps[str] | None = None
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -54,12 +60,15 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
             self._job.cancel()
             return {"RUNNING_MODAL"}
         if event.type != "TIMER":
-            return {"PASS_THROUGH"}
+            # While the weights are written nobody may change the splats: clicks and keys wait that second.
+            return {"PASS_THROUGH"} if self._writing is None else {"RUNNING_MODAL"}
         try:
-            if self._job.step():
-                status_bar.show(context)
-                return {"PASS_THROUGH"}
-            return self._finish(context)
+            if self._writing is None:
+                if self._job.step():
+                    status_bar.show(context)
+                    return {"PASS_THROUGH"}
+                self._writing = self._job.apply_steps()
+            return self._write(context)
         except GSkinError as error:
             return self._fail(context, error)
         except Exception:
@@ -68,6 +77,18 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
             self._leave(context)
             running_job.end("Auto-Skin stopped on a fault of its own; the system console says where", failed=True)
             raise
+
+    def _write(self, context: bpy.types.Context) -> set[str]:
+        """Some slices of the weights; nothing is in the scene before the last."""
+        if self._job.cancelling:
+            return self._fail(context, Cancelled("The job was cancelled."))
+        try:
+            share = run_for(self._writing, WRITING)
+        except StopIteration as stop:
+            return self._finish(context, stop.value)
+        self._job.progress = replace(self._job.progress, message=f"Writing the weights ({share:.0%})")
+        status_bar.show(context)
+        return {"PASS_THROUGH"}
 
     def cancel(self, context: bpy.types.Context) -> None:
         """Blender ends the operator: another file is loaded, the window closes."""
@@ -79,21 +100,27 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
         if not self._start(context):
             return {"CANCELLED"}
         try:
-            self._job.client.wait(ProgressPrinter("lines", sys.stdout), interval=TICK)
-            return self._finish(context)
+            self._job.wait(ProgressPrinter("lines", sys.stdout))
+            return self._finish(context, self._job.apply())
         except GSkinError as error:
             return self._fail(context, error)
         except KeyboardInterrupt:
             return self._fail(context, Cancelled("The job was cancelled."))
 
     def _start(self, context: bpy.types.Context) -> bool:
-        settings = context.scene.gskin.as_job()
-        python, _ = worker_python(context)
+        chosen = panel_settings(context)
+        settings = chosen.as_job()
+        python, _ = job_python(context, chosen.needs_runtime())
         try:
             JobSettings.parse(settings)
             check_models(settings["guidance"], settings.get("options", {}))
             self._job = SkinJob.start(
-                chosen_splats(context), chosen_armature(context), settings, python, proxy_mesh(context)
+                chosen_splats(context),
+                chosen_armature(context),
+                settings,
+                python,
+                proxy_mesh(context),
+                allow_download=chosen.models.may_download(),
             )
         except GSkinError as error:
             self._fail(context, error)
@@ -101,8 +128,7 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
         running_job.begin(self._job)
         return True
 
-    def _finish(self, context: bpy.types.Context) -> set[str]:
-        sentence = self._job.apply()
+    def _finish(self, context: bpy.types.Context, sentence: str) -> set[str]:
         self._leave(context)
         running_job.end(sentence)
         self.report({"INFO"}, sentence)
@@ -121,6 +147,9 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
         return {"CANCELLED"}
 
     def _leave(self, context: bpy.types.Context) -> None:
+        if self._writing is not None:
+            self._writing.close()
+            self._writing = None
         if self._timer is not None:
             context.window_manager.event_timer_remove(self._timer)
             self._timer = None

@@ -4,14 +4,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 from bpy_extras.io_utils import ImportHelper
 
 from ..core.errors import GSkinError
-from ..core.job.contract import read_weights as read_weights_file
+from ..core.rig.weights_file import read_weights_file
+from ..scene.binding import bind
 from ..scene.bone_frames import armature_of
-from ..scene.weights import bind, update_rotation_weights, write_weights
+from ..scene.influences import splats_without_bones
+from ..scene.splat_object import splat_count
+from ..scene.weights import update_rotation_weights, write_weights
 from ..session.chosen import chosen_armature, chosen_splats
 
 
@@ -23,6 +27,8 @@ class GSKIN_OT_load_weights(bpy.types.Operator, ImportHelper):
     bl_options = {"REGISTER", "UNDO"}
 
     filename_ext = ".npz"
+    if TYPE_CHECKING:
+        filepath: str  # ImportHelper's
     filter_glob: bpy.props.StringProperty(default="*.npz", options={"HIDDEN"})
     max_influences: bpy.props.IntProperty(
         name="Max Influences", description="The most bones that move one splat", default=4, min=1, max=4
@@ -71,6 +77,15 @@ class GSKIN_OT_bind_to_armature(bpy.types.Operator):
         except GSkinError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
+        still, total = splats_without_bones(splats), splat_count(splats)
+        if still:
+            self.report(
+                {"WARNING"},
+                f"{still:,} of {total:,} splats have no weights for bones of '{armature.name}' and stay as they are; "
+                "paint weights, load them or run Auto-Skin",
+            )
+        else:
+            self.report({"INFO"}, f"{total:,} splats follow '{armature.name}'")
         return {"FINISHED"}
 
 

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 import bpy
 
-from ..core.errors import GSkinError
+from ..core.errors import GSkinError, InputError
 from ..scene.cleanup import (
     begin_selecting,
     find_bad_splats,
@@ -20,6 +22,8 @@ from ..session.chosen import chosen_splats
 
 class _Finder:
     bl_options = {"REGISTER", "UNDO"}
+    if TYPE_CHECKING:
+        poll_message_set: Any  # every operator has it
 
     strays: bpy.props.BoolProperty(
         name="Strays", description="Single splats and small clusters that lie off the body", default=True
@@ -108,7 +112,12 @@ class GSKIN_OT_clean_splats(_Finder, bpy.types.Operator):
             return {"CANCELLED"}
         try:
             bad, counts = find_bad_splats(obj, strays=self.strays, faint_giants=self.faint_giants)
-            if bad.any() and not bad.all():
+            if bad.all():
+                raise InputError(
+                    f"All {total:,} splats of '{obj.name}' are strays or faint giants, so nothing was changed: "
+                    "no splat would be left; switch off Strays or Faint Giants."
+                )
+            if bad.any():
                 if self.action == "ASIDE":
                     put_aside(obj, bad)
                 else:
@@ -118,7 +127,11 @@ class GSKIN_OT_clean_splats(_Finder, bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         words = _sentence(counts, total, "put aside" if self.action == "ASIDE" else "removed")
-        self.report({"INFO"}, f"{words}; {needles:,} needles widened" if self.max_aspect else words)
+        if self.max_aspect:
+            words += f"; {needles:,} needles widened"
+        if self.balls:
+            words += f"; {splat_count(obj):,} splats made balls"
+        self.report({"INFO"}, words)
         return {"FINISHED"}
 
 

@@ -4,17 +4,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import bpy
 from mathutils import Vector
 
 from ..core.errors import GSkinError
-from ..scene import names, views
-from ..scene.placement import offset_of, place_on_floor, turn_up, undo_placement, up_of
+from ..scene import views
+from ..scene.placement import is_placed, offset_of, place_on_floor, turn_up, undo_placement, up_of
 from ..session.chosen import chosen_armature, chosen_splats
 
+# A mix-in at run time: Blender would register a base class that is an operator itself.
+_Operator = bpy.types.Operator if TYPE_CHECKING else object
 
-class _OnSplats:
+
+class _OnSplats(_Operator):
     bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
@@ -76,7 +80,7 @@ class GSKIN_OT_undo_placement(_OnSplats, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return super().poll(context) and names.OFFSET in chosen_splats(context)
+        return super().poll(context) and is_placed(chosen_splats(context))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         return self._try(undo_placement, chosen_splats(context))
@@ -90,13 +94,13 @@ class GSKIN_OT_move_rig_to_splats(_OnSplats, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return super().poll(context) and names.OFFSET in chosen_splats(context) and chosen_armature(context) is not None
+        return super().poll(context) and is_placed(chosen_splats(context)) and chosen_armature(context) is not None
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         top = chosen_armature(context)
         while top.parent is not None:
             top = top.parent
-        top.location = top.location + Vector(offset_of(chosen_splats(context)))
+        top.location = top.location + Vector(offset_of(chosen_splats(context)).tolist())
         return {"FINISHED"}
 
 

@@ -19,10 +19,10 @@ from ..core.rig.anchoring import Anchors, anchor_splats, check_fit
 from ..core.rig.vertex_maps import ring_coefficients
 from . import names
 from .anchor_nodes import MESH_INPUT, PROXY_INPUT, anchor_group, find_anchor
-from .attributes import read_attribute, read_positions, write_attribute, write_positions
+from .attributes import ObjectData, read_attribute, read_positions, write_attribute, write_positions
 from .bone_frames import armature_modifier
 from .helpers import hide_helper
-from .node_builder import get_input, set_input
+from .node_builder import add_modifier, get_input, set_input
 from .node_groups import find_display
 from .rotation_nodes import find_rotation
 from .splat_object import is_splat_object, read_cloud, refuse_edit_mode
@@ -40,6 +40,18 @@ def anchor_to_mesh(obj: bpy.types.Object, proxy: bpy.types.Object, *, keep_resid
 
     Raises InputError: no splats, no usable mesh, modifiers that change the mesh's points, a mesh elsewhere.
     """
+    found = find_anchors(obj, proxy, keep_residual=keep_residual)
+    attach(obj, proxy, *found)
+    return found[0]
+
+
+def find_anchors(
+    obj: bpy.types.Object, proxy: bpy.types.Object, *, keep_residual: bool = True
+) -> tuple[Anchors, Array, Array]:
+    """What `anchor_to_mesh` would anchor, with verts (V, 3) in the splats' own space and faces (F, 3).
+
+    Changes nothing. Raises InputError as `anchor_to_mesh` does.
+    """
     cloud = read_cloud(obj, world=False)
     verts, faces = read_mesh(proxy)
     bpy.context.view_layer.update()
@@ -54,7 +66,13 @@ def anchor_to_mesh(obj: bpy.types.Object, proxy: bpy.types.Object, *, keep_resid
     label = f"'{proxy.name}'"
     anchors = anchor_splats(cloud.means, verts, faces, keep_residual=keep_residual, label=label)
     check_fit(anchors, cloud.means, verts, faces, label)
+    return anchors, verts, faces
 
+
+def attach(
+    obj: bpy.types.Object, proxy: bpy.types.Object, anchors: Anchors, verts: Array, faces: Array
+) -> None:
+    """Hang the splats on the mesh by what `find_anchors` found."""
     mesh = obj.data
     write_attribute(mesh, names.FACE, "INT", anchors.face)
     write_attribute(mesh, names.BARY, "FLOAT_VECTOR", anchors.bary)
@@ -62,20 +80,18 @@ def anchor_to_mesh(obj: bpy.types.Object, proxy: bpy.types.Object, *, keep_resid
     write_attribute(mesh, names.RESIDUAL, "FLOAT_VECTOR", anchors.residual)
     write_attribute(mesh, names.REACH, "FLOAT", anchors.reach)
     mesh.update()
-    for modifier in (find_rotation(obj), armature_modifier(obj)):
-        if modifier is not None:
-            obj.modifiers.remove(modifier)
+    for other in (find_rotation(obj), armature_modifier(obj)):
+        if other is not None:
+            obj.modifiers.remove(other)
     modifier = find_anchor(obj)
     if modifier is None:
-        modifier = obj.modifiers.new(names.ANCHOR_MODIFIER, "NODES")
-        modifier.show_expanded = False
+        modifier = add_modifier(obj, names.ANCHOR_MODIFIER)
         display = find_display(obj)
         if display is not None:
             obj.modifiers.move(obj.modifiers.find(modifier.name), obj.modifiers.find(display.name))
     modifier.node_group = anchor_group()
     set_input(modifier, PROXY_INPUT, proxy)
     set_input(modifier, MESH_INPUT, _anchor_mesh(proxy.name, verts, faces))
-    return anchors
 
 
 def release(obj: bpy.types.Object) -> None:
@@ -132,7 +148,7 @@ def read_world_mesh(proxy: bpy.types.Object) -> tuple[Array, Array]:
     return verts @ matrix[:3, :3].T + matrix[:3, 3], faces
 
 
-def _triangles(mesh: bpy.types.Mesh) -> Array:
+def _triangles(mesh: ObjectData) -> Array:
     mesh.calc_loop_triangles()
     flat = np.empty(3 * len(mesh.loop_triangles), dtype=np.int32)
     mesh.loop_triangles.foreach_get("vertices", flat)
@@ -149,12 +165,13 @@ def _anchor_mesh(name: str, verts: Array, faces: Array) -> bpy.types.Object:
     mesh.update(calc_edges=True)
     write_positions(mesh, verts)
     for label, shift in ((names.CORNER_NEXT, -1), (names.CORNER_LAST, 1)):
-        values = np.roll(faces, shift, axis=1).ravel().astype(np.int32)
-        mesh.attributes.new(label, "INT", "CORNER").data.foreach_set("value", values)
+        indices: Any = mesh.attributes.new(label, "INT", "CORNER")
+        indices.data.foreach_set("value", np.roll(faces, shift, axis=1).ravel().astype(np.int32))
     coefficients = ring_coefficients(verts, faces).reshape(-1, 3, 3)
     for k, label in enumerate(names.MAP_COEFFICIENTS):
         values = np.ascontiguousarray(coefficients[:, k], dtype=np.float32).ravel()
-        mesh.attributes.new(label, "FLOAT_VECTOR", "CORNER").data.foreach_set("vector", values)
+        rows: Any = mesh.attributes.new(label, "FLOAT_VECTOR", "CORNER")
+        rows.data.foreach_set("vector", values)
     helper = bpy.data.objects.new(mesh.name, mesh)
     helper[names.ANCHOR_MARK] = True
     hide_helper(helper)

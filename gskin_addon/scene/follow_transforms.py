@@ -10,6 +10,7 @@ them along with the attributes: whatever state comes back, its places tell wheth
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import bpy
 import numpy as np
@@ -33,7 +34,7 @@ def follow_transform(obj: bpy.types.Object) -> bool:
     Uneven scale and mirroring, which no splat can follow, and anchored splats are left as they are with a warning
     in the mesh (`warning_of`). Any other change of positions is the artist's.
     """
-    mesh = obj.data
+    mesh: Any = obj.data
     if obj.mode == "EDIT":
         return False
     stored = reference_points(mesh)

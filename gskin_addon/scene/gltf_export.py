@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import GSkinError, InputError
+from ..core.files import replaced
 from ..core.splats import gltf
 from ..core.splats.axes import rotate_cloud
 from ..core.splats.cloud import SplatCloud
@@ -113,9 +114,8 @@ def export_glb(
         raise InputError(f"{path}: there are no splats among the objects to export; choose a splat object.")
     armatures = [armature for obj in objects if (armature := armature_of(obj)) is not None]
     frame = bpy.context.scene.frame_current
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part.glb")
     try:
-        with _selected([*objects, *armatures]), _discoverable(), nodes_hidden():
+        with replaced(path, ".glb") as temporary, _selected([*objects, *armatures]), _discoverable(), nodes_hidden():
             _failures.clear()
             bpy.ops.export_scene.gltf(
                 filepath=str(temporary),
@@ -133,21 +133,16 @@ def export_glb(
                 export_animations=animations,
                 export_materials="EXPORT",
             )
-        if _failures:
-            raise _failures[0]
-        os.replace(temporary, path)
+            if _failures:
+                raise _failures[0]
     except RuntimeError as error:
         if _failures:
             raise _failures[0] from error
         raise GSkinError(f"{path}: Blender's glTF exporter failed ({_last_error(error)}).") from error
-    except OSError as error:
-        reason = error.strerror or error
-        raise GSkinError(f"{path} cannot be written ({reason}); check the folder and free space.") from error
     finally:
         # The exporter moves to frame 0 and stays there when it fails.
         if bpy.context.scene.frame_current != frame:
             bpy.context.scene.frame_set(frame)
-        temporary.unlink(missing_ok=True)
 
 
 def _last_error(error: RuntimeError) -> str:
@@ -169,9 +164,12 @@ def hide_nodes() -> None:
 
 def show_nodes() -> None:
     """Switch on what `hide_nodes` switched off."""
+    if not _hidden:
+        return
+    present = {obj.name: obj for obj in bpy.data.objects if is_splat_object(obj)}
     while _hidden:
         object_name, modifier_name = _hidden.pop()
-        obj = bpy.data.objects.get(object_name)
+        obj = present.get(object_name)
         if obj is not None and modifier_name in obj.modifiers:
             obj.modifiers[modifier_name].show_viewport = True
 
@@ -190,14 +188,17 @@ def nodes_hidden() -> Iterator[None]:
 def _selected(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
     """Exactly these objects are selected inside the block."""
     layer = bpy.context.view_layer
-    before, active = [obj for obj in layer.objects if obj.select_get()], layer.objects.active
+    layer.update()  # objects linked just now are not among its objects before
+    # Looked up in a set: asking Blender's collection, or a list, for each object is quadratic.
+    present = set(layer.objects)
+    before, active = {obj for obj in present if obj.select_get()}, layer.objects.active
     try:
         for obj in before:
             obj.select_set(False)
         for obj in objects:
-            if obj.name in layer.objects:
+            if obj in present:
                 obj.select_set(True)
-            if obj.name not in layer.objects or not obj.select_get():
+            if obj not in present or not obj.select_get():
                 raise InputError(f"'{obj.name}' is hidden or not in the scene; show it and export again.")
         yield
     finally:
@@ -228,7 +229,7 @@ def _discoverable() -> Iterator[None]:
         yield
     finally:
         if before is None:
-            del module.glTF2ExportUserExtensions  # type: ignore[attr-defined]
+            del module.glTF2ExportUserExtensions
         else:
             module.glTF2ExportUserExtensions = before  # type: ignore[attr-defined]
 

@@ -7,6 +7,8 @@ Appending and pasting link it to the scene all the same, visible and selected; t
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 from bpy.app.handlers import persistent
 
@@ -19,7 +21,7 @@ _MARKS = (names.FRAMES_MARK, names.ANCHOR_MARK, names.OCTAHEDRA_MARK)
 
 def is_helper(obj: bpy.types.Object) -> bool:
     """Whether `obj` is no object of the artist's but one that splats need."""
-    return any(mark in obj for mark in _MARKS)
+    return any(obj.get(mark) is not None for mark in _MARKS)
 
 
 def hide_helper(helper: bpy.types.Object) -> None:
@@ -40,7 +42,7 @@ def put_away(*_: object) -> None:
                 collection.objects.unlink(obj)
 
 
-def _handlers() -> list:
+def _handlers() -> list[Any]:
     # Blender 4.2 has no handler of its own for appending.
     return getattr(bpy.app.handlers, "blend_import_post", bpy.app.handlers.depsgraph_update_post)
 

@@ -17,7 +17,7 @@ from . import names
 from .attributes import read_attribute
 from .display_colors import SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF, splat_color
 from .materials import FAINTEST, render_material
-from .node_builder import Tree, find_group, geometry_group, get_input, has_input, set_input
+from .node_builder import Tree, add_modifier, find_group, geometry_group, get_input, has_input, set_input
 from .octahedra import CORNERS, ensure_octahedra, octahedra_count
 
 VERSION = 3
@@ -103,11 +103,10 @@ def add_display(obj: bpy.types.Object) -> bpy.types.NodesModifier:
     """Give the object the display modifier, last in its stack; an existing one is kept."""
     modifier = find_display(obj)
     if modifier is None:
-        modifier = obj.modifiers.new(names.DISPLAY_MODIFIER, "NODES")
+        modifier = add_modifier(obj, names.DISPLAY_MODIFIER)
         modifier.node_group = display_group()
         # In Edit Mode the artist needs the points themselves.
         modifier.show_in_editmode = False
-        modifier.show_expanded = False
         match_octahedra(obj)
     obj.modifiers.move(obj.modifiers.find(modifier.name), len(obj.modifiers) - 1)
     return modifier
@@ -176,8 +175,8 @@ def _build(group: bpy.types.NodeTree) -> None:
     borrowed = tree.object_geometry(tree.output(source, OCTAHEDRA))
     # Where the settings were just changed, the helper may have another number; then faces are made the slow way.
     corners = tree.math("MULTIPLY", tree.domain_size(seen, "POINTCLOUD"), float(CORNERS))
-    inputs = {0: corners, 1: tree.domain_size(borrowed, "MESH"), 2: 0.5}
-    fits = tree.out("ShaderNodeMath", "Value", inputs, operation="COMPARE")
+    operands = {0: corners, 1: tree.domain_size(borrowed, "MESH"), 2: 0.5}
+    fits = tree.out("ShaderNodeMath", "Value", operands, operation="COMPARE")
     bright = tree.math("SUBTRACT", 1.0, faint)
     made = instances(tree.object_geometry(ensure_octahedra(1)), wider, bright)
     made = tree.out("GeometryNodeRealizeInstances", "Geometry", {"Geometry": made})

@@ -9,6 +9,8 @@ number is another helper.
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 
 from . import names
@@ -25,7 +27,7 @@ def ensure_octahedra(count: int) -> bpy.types.Object:
             return obj
     helper = bpy.data.objects.new("GSkin Octahedra", octahedron())
     helper[names.OCTAHEDRA_MARK] = True
-    array = helper.modifiers.new("Array", "ARRAY")
+    array: Any = helper.modifiers.new("Array", "ARRAY")
     array.count, array.use_relative_offset = count, False
     # Taken out of a scene by `helpers.py`; where the add-on is not there to do so, at least it has no size.
     helper.scale = (0.0, 0.0, 0.0)
@@ -35,9 +37,10 @@ def ensure_octahedra(count: int) -> bpy.types.Object:
 
 def octahedra_count(obj: bpy.types.Object | None) -> int:
     """How many octahedra a helper has; 0 for any other object."""
-    if obj is None or names.OCTAHEDRA_MARK not in obj or not obj.modifiers:
+    if obj is None or obj.get(names.OCTAHEDRA_MARK) is None or not obj.modifiers:
         return 0
-    return int(obj.modifiers[0].count)
+    array: Any = obj.modifiers[0]
+    return int(array.count)
 
 
 def octahedron() -> bpy.types.Mesh:
@@ -47,7 +50,7 @@ def octahedron() -> bpy.types.Mesh:
     it, and Realize Instances takes the choice from the instanced mesh.
     """
     for mesh in bpy.data.meshes:
-        if names.OCTAHEDRON_MARK in mesh and mesh.library is None:
+        if mesh.get(names.OCTAHEDRON_MARK) is not None and mesh.library is None:
             return mesh
     mesh = bpy.data.meshes.new("GSkin Octahedron")
     mesh[names.OCTAHEDRON_MARK] = True

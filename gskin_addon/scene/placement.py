@@ -59,6 +59,11 @@ def up_of(obj: bpy.types.Object) -> str:
     return str(obj.data[names.MARK].get("up", "z"))
 
 
+def is_placed(obj: bpy.types.Object | None) -> bool:
+    """Whether the splats stand elsewhere than their file has them."""
+    return obj is not None and obj.get(names.OFFSET) is not None
+
+
 def turn_up(obj: bpy.types.Object, up: str) -> None:
     """Let another of the file's axes point up: positions, rotations, spherical harmonics and normals turn.
 
@@ -67,7 +72,7 @@ def turn_up(obj: bpy.types.Object, up: str) -> None:
     refuse_bound(obj)
     cloud = read_cloud(obj, world=False)
     R = up_rotation(up) @ up_rotation(up_of(obj)).T
-    placed = names.OFFSET in obj
+    placed = is_placed(obj)
     if placed:
         undo_placement(obj)
     replace_cloud(obj, rotate_cloud(cloud, R))
@@ -85,9 +90,9 @@ def refuse_bound(obj: bpy.types.Object) -> None:
 
 def _move(obj: bpy.types.Object, step: NDArray[np.float64]) -> None:
     offset = offset_of(obj) + step
-    obj.location = obj.location + Vector(step)
+    obj.location = obj.location + Vector(step.tolist())
     if offset.any():
         obj[names.OFFSET] = offset.tolist()
-    elif names.OFFSET in obj:
+    elif obj.get(names.OFFSET) is not None:
         del obj[names.OFFSET]
     bpy.context.view_layer.update()

@@ -13,61 +13,85 @@ from numpy.typing import NDArray
 from ..core.errors import InputError
 from ..core.rig.anchoring import pose_anchored
 from ..core.splats.cloud import SplatCloud
-from . import names
-from .anchored import proxy_of, read_anchors
+from .anchored import attach, find_anchors, proxy_of, read_anchors
 from .attributes import read_positions
-from .bone_frames import armature_modifier, armature_of
+from .binding import follow
+from .bone_frames import armature_of
 from .splat_object import read_cloud, refuse_edit_mode, to_world
+from .steps import Steps, part_of, run_to_end
+from .vertex_groups import GroupsAside
+from .weights import NewWeights
 
 Array = NDArray[Any]
 
 
-def create_proxy(
-    name: str, verts: Array, faces: Array, armature: bpy.types.Object, weights: Array, bones: Sequence[str]
-) -> bpy.types.Object:
-    """A mesh object of verts (V, 3), world, and faces (F, 3) that `armature` moves by weights (V, B).
+def create_mesh_object(name: str, verts: Array, faces: Array) -> bpy.types.Object:
+    """A mesh object of verts (V, 3), world, and faces (F, 3) for splats to hang on.
 
-    It is drawn as wires and not rendered: the splats that hang on it are what is seen.
+    It is drawn as wires and not rendered: the splats are what is seen.
     """
     mesh = bpy.data.meshes.new(name)
     mesh.from_pydata(np.asarray(verts, float).tolist(), [], np.asarray(faces).tolist())
     obj = bpy.data.objects.new(name, mesh)
     bpy.context.scene.collection.objects.link(obj)
     obj.display_type, obj.hide_render = "WIRE", True
-    bind_proxy(obj, armature, weights, bones)
     return obj
 
 
 def bind_proxy(obj: bpy.types.Object, armature: bpy.types.Object, weights: Array, bones: Sequence[str]) -> None:
     """Let `armature` move the mesh object by weights (V, B): vertex groups, parent (in place), Armature modifier.
 
-    Vertex groups of these bones are replaced, others stay. Raises InputError where the mesh has other points.
+    Vertex groups of these bones are replaced, others stay, and so does another parent. The object gets a new mesh
+    datablock of the same name. Raises InputError where the mesh has other points.
     """
+    _check(obj, weights)
+    with GroupsAside(obj) as groups:
+        run_to_end(groups.write(bones, lambda bone: weights[:, bone]))
+        follow(groups.check(), armature, keep_parent=True)
+        groups.commit()
+
+
+def iter_write_weights_through(
+    obj: bpy.types.Object,
+    proxy: bpy.types.Object,
+    armature: bpy.types.Object,
+    weights: Array,
+    mesh_weights: Array,
+    bones: Sequence[str],
+    *,
+    max_influences: int = 4,
+    confidence: Array | None = None,
+) -> Steps[None]:
+    """Let `armature` move the mesh object `proxy` by mesh_weights (V, B), and the splats of `obj` hang on it.
+
+    The splats keep weights (N, B) of their own as vertex groups. In slices, of which only the last changes the
+    scene; finding where the splats hang is one of them, long for many splats.
+
+    Raises InputError as `write_weights`, `bind_proxy` and `anchor_to_mesh` do; nothing is written then.
+    """
+    _check(proxy, mesh_weights)
+    given = (obj, armature, weights, bones)
+    options: dict[str, Any] = {"max_influences": max_influences, "confidence": confidence}
+    with NewWeights(*given, **options) as new, GroupsAside(proxy) as groups:
+        yield from part_of(groups.write(bones, lambda bone: mesh_weights[:, bone]), 0.0, 0.2)
+        yield from part_of(new.make(), 0.2, 0.9)
+        obj, armature = new.check()
+        # Refusals come before anything is changed.
+        proxy = groups.check()
+        found = find_anchors(obj, proxy)
+        new.commit(carried=True)
+        follow(proxy, armature, keep_parent=True)
+        groups.commit()
+        attach(obj, proxy, *found)
+
+
+def _check(obj: bpy.types.Object, weights: Array) -> None:
     refuse_edit_mode(obj)
     if len(weights) != len(obj.data.vertices):
         raise InputError(
             f"'{obj.name}' has {len(obj.data.vertices)} points and the weights are for {len(weights)}; "
             "make them again for the mesh as it is."
         )
-    bpy.context.view_layer.update()
-    if obj.parent is None:
-        world = obj.matrix_world.copy()
-        obj.parent = armature
-        obj.matrix_parent_inverse = armature.matrix_world.inverted()
-        obj.matrix_world = world
-    for label in bones:
-        group = obj.vertex_groups.get(label)
-        if group is not None:
-            obj.vertex_groups.remove(group)
-    for bone, label in enumerate(bones):
-        group = obj.vertex_groups.new(name=label)
-        for vertex in np.flatnonzero(weights[:, bone] > 0).tolist():
-            group.add((vertex,), float(weights[vertex, bone]), "REPLACE")
-    modifier = armature_modifier(obj) or obj.modifiers.new(names.ARMATURE_MODIFIER, "ARMATURE")
-    modifier.object = armature
-    modifier.use_vertex_groups, modifier.use_bone_envelopes = True, False
-    # The weights were learned for Eq. 1, not for dual quaternions.
-    modifier.use_deform_preserve_volume = False
 
 
 def followed_armature(obj: bpy.types.Object) -> bpy.types.Object | None:

@@ -19,7 +19,7 @@ from ..core.rig.quaternion import normalize
 from ..core.splats.axes import rotate_cloud
 from ..core.splats.cloud import SplatCloud
 from . import names
-from .attributes import read_attribute, read_positions, write_attribute, write_positions
+from .attributes import ObjectData, read_attribute, read_positions, write_attribute, write_positions
 from .node_groups import add_display
 from .transforms import world_similarity
 
@@ -51,7 +51,7 @@ def create_splat_object(
 
 def is_splat_object(obj: bpy.types.Object | None) -> bool:
     """Whether `obj` is a mesh that gskin made from splats."""
-    return obj is not None and obj.type == "MESH" and names.MARK in obj.data
+    return obj is not None and obj.type == "MESH" and obj.data.get(names.MARK) is not None
 
 
 def splat_count(obj: bpy.types.Object) -> int:
@@ -69,7 +69,7 @@ def read_cloud(obj: bpy.types.Object, *, world: bool = True) -> SplatCloud:
             f"'{getattr(obj, 'name', obj)}' is no splat object; import a Gaussian splat .ply and select it."
         )
     refuse_edit_mode(obj)
-    mesh = obj.data
+    mesh: ObjectData = obj.data
     if len(mesh.vertices) == 0:
         raise InputError(f"'{obj.name}' has no splats left; import it again.")
     base = _require(obj, names.BASE)
@@ -97,7 +97,8 @@ def replace_cloud(obj: bpy.types.Object, cloud: SplatCloud) -> None:
             f"'{obj.name}' has {splat_count(obj)} splats and the new values are for {cloud.count}; "
             "create a new object for them."
         )
-    _write_columns(obj.data, cloud)
+    mesh: ObjectData = obj.data
+    _write_columns(mesh, cloud)
 
 
 def refuse_edit_mode(obj: bpy.types.Object) -> None:
@@ -121,7 +122,8 @@ def _write_columns(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
         if kind is not None:
             write_attribute(mesh, names.EXTRA.format(column), kind, values)
             kept.append(column)
-    up = mesh[names.MARK].get("up") if names.MARK in mesh else None
+    mark = mesh.get(names.MARK)
+    up = None if mark is None else mark.get("up")
     mesh[names.MARK] = {"version": VERSION, "sh_degree": cloud.sh_degree, "extra": "\n".join(kept)}
     if up is not None:
         mesh[names.MARK]["up"] = up

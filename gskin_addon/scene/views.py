@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 
 from .helpers import is_helper
@@ -60,11 +62,11 @@ def hide_colors(screen: bpy.types.Screen | None) -> None:
 
 def frame_selected(context: bpy.types.Context) -> None:
     """Let every 3D view of the screen show the selected objects as a whole, however large they are."""
-    size = max((max(obj.dimensions) for obj in context.selected_objects), default=0.0)
+    size = max((float(max(*obj.dimensions)) for obj in context.selected_objects), default=0.0)
     for area in context.screen.areas if context.screen else ():
         if area.type != "VIEW_3D":
             continue
-        space = area.spaces.active
+        space: Any = area.spaces.active
         space.clip_end = max(space.clip_end, 10.0 * size)
         region = next((region for region in area.regions if region.type == "WINDOW"), None)
         if region is not None and context.window is not None and not bpy.app.background:

@@ -1,9 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Skinning weights as vertex groups, and the binding of a splat object to an armature."""
+"""Skinning weights of splat objects as vertex groups, and the strongest of them as attributes that turn the splats.
+
+What takes long for many splats comes as a generator, `iter_...`, that works in slices (`steps.py`), and as a plain
+function that runs it to the end.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from types import TracebackType
 from typing import Any
 
 import bpy
@@ -11,15 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
-from ..core.rig.lbs import top_influences
 from . import names
 from .armature import deform_bone_names
 from .attributes import write_attribute
+from .binding import bind, check_splats, set_parent
 from .bone_frames import armature_modifier, armature_of, bone_order, ensure_bone_frames
-from .node_groups import find_display
+from .influences import columns_of, slice_rows, strongest, write_influences
+from .object_ref import ObjectRef, object_by_uid
 from .rotation_nodes import add_rotation, frames_of
 from .splat_object import is_splat_object, refuse_edit_mode
-from .transforms import world_similarity
+from .steps import SLICE, Steps, part_of, run_to_end, slices
+from .vertex_groups import GroupsAside, read_pairs
 
 Array = NDArray[Any]
 
@@ -38,28 +45,131 @@ def write_weights(
     bones: the B bone names of the weights' columns (default: the armature's deform bones). Every splat keeps its
     `max_influences` strongest bones, normalised. Vertex groups of the armature's bones are replaced, other groups
     stay. confidence: (N,) in 0..1, how sure the weights are; without it an earlier one is removed. One call inside
-    an operator is one undo step.
+    an operator is one undo step. The object gets a new mesh datablock in place of its own, of the same name.
 
     Raises InputError: shapes that do not match, NaN, bones that the armature lacks or that do not deform,
     non-uniform object scale, an object in Edit Mode.
     """
-    deform = deform_bone_names(armature)
-    bones = list(deform if bones is None else bones)
-    _check(obj, armature, weights, bones, deform)
-    columns = [bones.index(name) if name in bones else -1 for name in deform]
-    dense = np.zeros((len(weights), len(deform)), dtype=np.float32)
-    used = [place for place, column in enumerate(columns) if column >= 0]
-    dense[:, used] = np.asarray(weights)[:, [columns[place] for place in used]]
-    index, value = top_influences(dense, max_influences)
-    value = value.astype(np.float32)
+    run_to_end(
+        iter_write_weights(
+            obj, armature, weights, bones, max_influences=max_influences, confidence=confidence
+        )
+    )
 
-    frames = bind(obj, armature)
-    _write_groups(obj, deform, index, value)
-    _write_influences(obj, frames, deform, index, value)
-    if confidence is not None:
-        write_attribute(obj.data, names.CONFIDENCE, "FLOAT", confidence)
-    elif names.CONFIDENCE in obj.data.attributes:
-        obj.data.attributes.remove(obj.data.attributes[names.CONFIDENCE])
+
+def iter_write_weights(
+    obj: bpy.types.Object,
+    armature: bpy.types.Object,
+    weights: Array,
+    bones: Sequence[str] | None = None,
+    *,
+    max_influences: int = 4,
+    confidence: Array | None = None,
+) -> Steps[None]:
+    """`write_weights` in slices. Only the last one changes the scene; closing it before leaves all as it was.
+
+    Raises InputError also where an object is deleted or changed meanwhile; nothing is written then.
+    """
+    with NewWeights(
+        obj, armature, weights, bones, max_influences=max_influences, confidence=confidence
+    ) as new:
+        yield from new.make()
+        new.commit()
+
+
+class NewWeights:
+    """Weights for a splat object, as `write_weights` takes them: made aside in slices, then committed at once.
+
+    A context manager; what is not committed when the block ends is dropped.
+
+    Raises InputError as `write_weights` does.
+    """
+
+    def __init__(
+        self,
+        obj: bpy.types.Object,
+        armature: bpy.types.Object,
+        weights: Array,
+        bones: Sequence[str] | None = None,
+        *,
+        max_influences: int = 4,
+        confidence: Array | None = None,
+    ) -> None:
+        self._deform = deform_bone_names(armature)
+        bones = list(self._deform if bones is None else bones)
+        _check(obj, armature, weights, bones, self._deform)
+        check_splats(obj)
+        self._name, self._armature = obj.name, (armature.session_uid, armature.name)
+        self._weights, self._confidence = weights, confidence
+        place = {name: column for column, name in enumerate(bones)}
+        self._columns = [place.get(name, -1) for name in self._deform]
+        width = min(max_influences, len(self._deform))
+        self._index = np.zeros((len(weights), width), dtype=np.int32)
+        self._value = np.zeros((len(weights), width), dtype=np.float32)
+        self._groups = GroupsAside(obj)
+
+    def __enter__(self) -> NewWeights:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._groups.__exit__(kind, error, trace)
+
+    def make(self) -> Steps[None]:
+        """Find every splat's strongest bones and make the vertex groups. Raises InputError for NaN."""
+        yield from part_of(self._choose(), 0.0, 0.3)
+        columns = columns_of(self._index, self._value)
+        yield from part_of(self._groups.write(self._deform, columns), 0.3, 1.0)
+
+    def check(self) -> tuple[bpy.types.Object, bpy.types.Object]:
+        """Splats and armature, if `commit` can be done. Raises InputError where either is not what it was."""
+        obj = self._groups.check()
+        check_splats(obj)
+        uid, name = self._armature
+        armature = object_by_uid(uid, name)
+        if armature is None or deform_bone_names(armature) != self._deform:
+            raise InputError(
+                f"Armature '{name}' was deleted or changed while weights for '{self._name}' were worked on; "
+                "nothing was written, start again."
+            )
+        return obj, armature
+
+    def commit(self, *, carried: bool = False) -> None:
+        """Put all of it into the scene. With `carried` a mesh moves the splats: they get no modifiers for it.
+
+        Raises InputError as `check` does; nothing is written then.
+        """
+        # What may refuse comes first, and before the new mesh, which would have to be evaluated at once.
+        obj, armature = self.check()
+        if carried:
+            set_parent(obj, armature)
+        else:
+            bind(obj, armature)
+        self._groups.commit()
+        write_influences(obj, self._deform, self._deform, self._index, self._value)
+        if self._confidence is not None:
+            write_attribute(obj.data, names.CONFIDENCE, "FLOAT", self._confidence)
+        elif names.CONFIDENCE in obj.data.attributes:
+            obj.data.attributes.remove(obj.data.attributes[names.CONFIDENCE])
+
+    def _choose(self) -> Steps[None]:
+        bones, columns = len(self._deform), np.array(self._columns)
+        used = columns >= 0
+        as_they_are = np.array_equal(columns, np.arange(np.shape(self._weights)[1]))
+        for part in slices(len(self._weights), slice_rows(bones)):
+            given = np.asarray(self._weights[part])
+            if not np.isfinite(given).all() or np.min(given, initial=0) < -1e-6:
+                raise InputError(
+                    f"The weights for '{self._name}' have NaN or negative values; make them again."
+                )
+            if as_they_are:
+                rows = given.astype(np.float32, copy=False)
+            else:
+                rows = np.zeros((len(given), bones), dtype=np.float32)
+                rows[:, used] = given[:, columns[used]]
+            self._index[part], self._value[part] = strongest(rows, self._index.shape[1])
+            yield part.stop / len(self._weights)
 
 
 def read_weights(obj: bpy.types.Object, bones: Sequence[str] | None = None) -> tuple[Array, list[str]]:
@@ -68,55 +178,23 @@ def read_weights(obj: bpy.types.Object, bones: Sequence[str] | None = None) -> t
     bones: default the deform bones of the object's armature; a bone without a vertex group has weight 0.
     Raises InputError where the object follows no armature and no bones are given.
     """
+    return run_to_end(iter_read_weights(obj, bones))
+
+
+def iter_read_weights(
+    obj: bpy.types.Object, bones: Sequence[str] | None = None
+) -> Steps[tuple[Array, list[str]]]:
+    """`read_weights` in slices. Raises InputError also where the object is deleted or changed meanwhile."""
     if bones is None:
-        armature = armature_of(obj)
-        if armature is None:
-            raise InputError(f"'{obj.name}' follows no armature; bind it to one first.")
-        bones = deform_bone_names(armature)
+        bones = deform_bone_names(_armature_of(obj))
     refuse_edit_mode(obj)
-    place = {name: index for index, name in enumerate(bones)}
-    lookup = np.array([place.get(group.name, -1) for group in obj.vertex_groups] or [-1])
-    vertices = obj.data.vertices
-    counts = np.fromiter((len(v.groups) for v in vertices), dtype=np.int64, count=len(vertices))
-    pairs = [(g.group, g.weight) for v in vertices for g in v.groups]
-    dense = np.zeros((len(vertices), len(bones)), dtype=np.float32)
-    if pairs:
-        flat = np.array(pairs, dtype=np.float64)
-        column = lookup[flat[:, 0].astype(np.int64)]
-        row = np.repeat(np.arange(len(vertices)), counts)
-        known = column >= 0
-        dense[row[known], column[known]] = flat[known, 1]
+    dense = np.zeros((len(obj.data.vertices), len(bones)), dtype=np.float32)
+
+    def take(part: slice, rows: Array) -> None:
+        dense[part] = rows
+
+    yield from _read(ObjectRef(obj), bones, SLICE, take)
     return dense, list(bones)
-
-
-def bind(obj: bpy.types.Object, armature: bpy.types.Object) -> bpy.types.Object:
-    """Let `obj` follow `armature`: parent (in place), Armature modifier, then the rotation nodes; gives the frames.
-
-    Like Ctrl-P > Armature Deform, so that moving the armature object carries the splats along. Weights are untouched.
-    """
-    if not is_splat_object(obj):
-        raise InputError(f"'{obj.name}' is no splat object; import a Gaussian splat .ply and select it.")
-    refuse_edit_mode(obj)
-    world_similarity(obj)
-    frames = ensure_bone_frames(armature)
-    if obj.parent != armature:
-        world = obj.matrix_world.copy()
-        obj.parent, obj.parent_type = armature, "OBJECT"
-        obj.matrix_parent_inverse = armature.matrix_world.inverted()
-        obj.matrix_world = world
-    modifier = armature_modifier(obj)
-    if modifier is None:
-        modifier = obj.modifiers.new(names.ARMATURE_MODIFIER, "ARMATURE")
-        # Behind whatever deforms the rest shape, before anything that draws.
-        display = find_display(obj)
-        if display is not None:
-            obj.modifiers.move(obj.modifiers.find(modifier.name), obj.modifiers.find(display.name))
-    modifier.object = armature
-    modifier.use_vertex_groups, modifier.use_bone_envelopes = True, False
-    # Dual quaternions would move the centres in another way than Eq. 1.
-    modifier.use_deform_preserve_volume = False
-    add_rotation(obj, frames, modifier)
-    return frames
 
 
 def update_rotation_weights(obj: bpy.types.Object) -> None:
@@ -125,27 +203,60 @@ def update_rotation_weights(obj: bpy.types.Object) -> None:
     Also follows changes of the armature: other bones, deform switched on or off, another armature in the modifier.
     Raises InputError where the object follows no armature.
     """
-    armature = armature_of(obj)
-    if armature is None:
-        raise InputError(f"'{obj.name}' follows no armature; bind it to one first.")
-    frames = bind(obj, armature)
-    weights, bones = read_weights(obj, bone_order(frames))
-    index, value = top_influences(weights, names.INFLUENCES)
-    value = np.where(weights.max(axis=1, keepdims=True) > 0, value, 0)
-    _write_influences(obj, frames, bones, index, value)
+    run_to_end(iter_update_rotation_weights(obj))
+
+
+def iter_update_rotation_weights(obj: bpy.types.Object) -> Steps[None]:
+    """`update_rotation_weights` in slices. Only the last one changes the scene.
+
+    Raises InputError also where the object is deleted or changed meanwhile; nothing is written then.
+    """
+    bones = deform_bone_names(_armature_of(obj))
+    check_splats(obj)
+    ref = ObjectRef(obj)
+    count, width = len(obj.data.vertices), min(names.INFLUENCES, len(bones))
+    index = np.zeros((count, width), dtype=np.int32)
+    value = np.zeros((count, width), dtype=np.float32)
+
+    def take(part: slice, rows: Array) -> None:
+        index[part], value[part] = strongest(rows, width)
+        value[part][~(rows > 0).any(axis=1)] = 0
+
+    yield from _read(ref, bones, slice_rows(len(bones)), take)
+    obj = ref.find()
+    frames = bind(obj, _armature_of(obj))
+    write_influences(obj, bone_order(frames), bones, index, value)
 
 
 def repair_frames(obj: bpy.types.Object) -> bool:
     """After a copy of splats and armature: let the copy's rotation follow its own armature. True if it was needed."""
-    armature, frames = armature_of(obj), frames_of(obj)
-    if frames is None or armature is None or armature_of(frames) == armature:
+    if not follows_foreign_frames(obj):
         return False
-    own = ensure_bone_frames(armature)
-    if bone_order(own) != bone_order(frames):
+    if not repoint_frames(obj):
         update_rotation_weights(obj)
-    else:
-        add_rotation(obj, own, armature_modifier(obj))
     return True
+
+
+def follows_foreign_frames(obj: bpy.types.Object) -> bool:
+    """Whether one armature moves the splats and another one turns them."""
+    armature, frames = armature_of(obj), frames_of(obj)
+    return frames is not None and armature is not None and armature_of(frames) != armature
+
+
+def repoint_frames(obj: bpy.types.Object) -> bool:
+    """Let the armature that moves the splats turn them too, if the stored bones mean the same there; True if so."""
+    armature, frames = armature_of(obj), frames_of(obj)
+    if bone_order(frames) != deform_bone_names(armature):
+        return False
+    add_rotation(obj, ensure_bone_frames(armature), armature_modifier(obj))
+    return True
+
+
+def _armature_of(obj: bpy.types.Object) -> bpy.types.Object:
+    armature = armature_of(obj)
+    if armature is None:
+        raise InputError(f"'{obj.name}' follows no armature; bind it to one first.")
+    return armature
 
 
 def _check(
@@ -157,8 +268,6 @@ def _check(
             f"The weights have shape {np.shape(weights)} and '{obj.name}' has {count} splats for {len(bones)} bones; "
             "use weights that were made for these splats and this armature."
         )
-    if not np.isfinite(weights).all() or np.min(weights, initial=0) < -1e-6:
-        raise InputError(f"The weights for '{obj.name}' have NaN or negative values; make them again.")
     missing = [bone for bone in bones if bone not in set(deform)]
     if missing:
         raise InputError(
@@ -167,35 +276,21 @@ def _check(
         )
 
 
-def _write_groups(obj: bpy.types.Object, bones: Sequence[str], index: Array, value: Array) -> None:
-    """Replace the vertex groups `bones` by the influences (N, k)."""
-    for name in bones:
-        group = obj.vertex_groups.get(name)
-        if group is not None:
-            obj.vertex_groups.remove(group)
-    for bone, name in enumerate(bones):
-        group = obj.vertex_groups.new(name=name)
-        splat, slot = np.nonzero((index == bone) & (value > 0))
-        add = group.add
-        for vertex, weight in zip(splat.tolist(), value[splat, slot].tolist(), strict=True):
-            add((vertex,), weight, "REPLACE")
-
-
-def _write_influences(
-    obj: bpy.types.Object, frames: bpy.types.Object, bones: Sequence[str], index: Array, value: Array
-) -> None:
-    """Store the strongest bones of every splat, by their place in the frames, for the rotation nodes."""
-    order = {name: place for place, name in enumerate(bone_order(frames))}
-    place = np.array([order.get(name, -1) for name in bones])
-    slots = names.INFLUENCES
-    bone = np.full((len(index), slots), -1, dtype=np.int32)
-    weight = np.zeros((len(index), slots), dtype=np.float32)
-    width = min(slots, index.shape[1])
-    bone[:, :width], weight[:, :width] = place[index[:, :width]], value[:, :width]
-    bone[weight <= 0] = -1
-    # A splat without bones stays put: index -1 samples the identity, and it needs a weight to be seen.
-    weight[:, 0] = np.where(weight.sum(axis=1) > 0, weight[:, 0], 1.0)
-    for slot in range(slots):
-        write_attribute(obj.data, names.BONE.format(slot), "INT", bone[:, slot])
-        write_attribute(obj.data, names.WEIGHT.format(slot), "FLOAT", weight[:, slot])
-    obj.data.update()
+def _read(
+    ref: ObjectRef, bones: Sequence[str], size: int, take: Callable[[slice, Array], None]
+) -> Steps[None]:
+    """Give `take` the weights (n, B) of all splats, at most `size` at a time."""
+    place = {name: index for index, name in enumerate(bones)}
+    groups = [group.name for group in ref.find().vertex_groups]
+    lookup = np.array([place.get(name, -1) for name in groups] or [-1])
+    count = len(ref.find().data.vertices)
+    for part in slices(count, size):
+        row, group, weight = read_pairs(ref.find(), part)
+        column = lookup[group]
+        known = column >= 0
+        rows = np.zeros((part.stop - part.start, len(bones)), dtype=np.float32)
+        rows[row[known], column[known]] = weight[known]
+        take(part, rows)
+        yield part.stop / count
+        if [group.name for group in ref.find().vertex_groups] != groups:
+            raise InputError(f"The vertex groups of '{ref.name}' were changed while they were read; start again.")

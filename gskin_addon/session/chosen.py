@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import bpy
 
@@ -13,7 +14,14 @@ if TYPE_CHECKING:
     from .properties import GSkinSettings
 
 
-def _in_scene(obj: bpy.types.Object, scene: bpy.types.Scene) -> bool:
+def panel_settings(context: bpy.types.Context) -> GSkinSettings:
+    """The scene's choices for Auto-Skin, `scene.gskin`."""
+    scene: Any = context.scene
+    settings: GSkinSettings = scene.gskin
+    return settings
+
+
+def _in_scene(obj: bpy.types.Object, scene: Any) -> bool:
     # An object that was deleted lives on while a property names it, so being in bpy.data proves nothing.
     return scene.objects.get(obj.name) == obj
 
@@ -32,7 +40,7 @@ def is_proxy(settings: GSkinSettings, obj: bpy.types.Object) -> bool:
 
 def chosen_splats(context: bpy.types.Context) -> bpy.types.Object | None:
     """The splat object of the settings, else the active or the only selected one."""
-    settings = context.scene.gskin
+    settings = panel_settings(context)
     if settings.splats is not None and is_splats(settings, settings.splats):
         return settings.splats
     return _selected(context, is_splat_object)
@@ -40,7 +48,7 @@ def chosen_splats(context: bpy.types.Context) -> bpy.types.Object | None:
 
 def chosen_armature(context: bpy.types.Context) -> bpy.types.Object | None:
     """The armature of the settings, else the selected, else the one the splats follow, else the only one."""
-    settings = context.scene.gskin
+    settings = panel_settings(context)
     if settings.armature is not None and is_armature(settings, settings.armature):
         return settings.armature
     selected = _selected(context, lambda obj: obj.type == "ARMATURE")
@@ -56,11 +64,11 @@ def chosen_armature(context: bpy.types.Context) -> bpy.types.Object | None:
 
 def proxy_mesh(context: bpy.types.Context) -> bpy.types.Object | None:
     """The proxy mesh of the settings, where it is still in the scene."""
-    settings = context.scene.gskin
+    settings = panel_settings(context)
     return settings.proxy if settings.proxy is not None and is_proxy(settings, settings.proxy) else None
 
 
-def _selected(context: bpy.types.Context, fits) -> bpy.types.Object | None:
+def _selected(context: bpy.types.Context, fits: Callable[[bpy.types.Object], bool]) -> bpy.types.Object | None:
     active = context.view_layer.objects.active
     if active is not None and fits(active):
         return active

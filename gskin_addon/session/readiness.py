@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import bpy
 
-from .chosen import chosen_armature, chosen_splats
-from .preferences import worker_python
+from . import learning_runtime
+from .chosen import chosen_armature, chosen_splats, panel_settings
+from .preferences import job_python, worker_python
 from .running_job import state
 
 
@@ -24,4 +25,9 @@ def what_is_missing(context: bpy.types.Context) -> str:
         return f"Armature '{armature.name}' has no deform bones: turn on Deform for some"
     if splats.mode == "EDIT" or armature.mode == "EDIT":
         return "An object is in Edit Mode: leave it (Tab)"
-    return worker_python(context)[1]
+    return job_python(context, panel_settings(context).needs_runtime())[1]
+
+
+def guidance_remedy(context: bpy.types.Context) -> learning_runtime.Remedy | None:
+    """What keeps guidance from computing, and the click that mends it; None where a Python with torch is at hand."""
+    return None if worker_python(context)[0] is not None else learning_runtime.remedy(context)

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 
-from ..scene import names, views
+from ..scene import views
 from ..scene.bone_frames import armature_of
 from ..scene.follow_transforms import warning_of
-from ..scene.placement import up_of
+from ..scene.placement import is_placed, up_of
 from ..session.chosen import chosen_armature, chosen_splats
 
 
@@ -17,7 +19,7 @@ def draw(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
     splats = chosen_splats(context)
     if splats is None:
         return
-    placed = names.OFFSET in splats
+    placed = is_placed(splats)
     row = layout.row(align=True)
     row.label(text=f"{up_of(splats).upper()} up, " + ("on the floor" if placed else "where the file has it"))
     if armature_of(splats) is None:
@@ -31,7 +33,7 @@ def draw(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
     warning = warning_of(splats)
     if warning:
         layout.label(text=warning, icon="ERROR")
-    space = context.space_data
+    space: Any = context.space_data
     if space is not None and space.type == "VIEW_3D" and space.shading.type == "SOLID":
         shown = views.shows_colors(space)
         text = "Hide Splat Colors" if shown else "Show Splat Colors"

@@ -6,7 +6,7 @@ from __future__ import annotations
 import bpy
 
 from ..core.guidance import NO_GUIDANCE
-from ..session.chosen import chosen_armature, chosen_splats
+from ..session.chosen import chosen_armature, chosen_splats, panel_settings
 from ..session.readiness import what_is_missing
 from ..session.running_job import state
 from . import arrival, guidance, progress
@@ -23,7 +23,7 @@ class GSKIN_PT_main(bpy.types.Panel):
         layout = self.layout
         layout.operator("gskin.import_splats", icon="IMPORT")
 
-        settings = context.scene.gskin
+        settings = panel_settings(context)
         column = layout.column()
         column.use_property_split = True
         column.use_property_decorate = False

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import textwrap
+from typing import Any
 
 import bpy
 
@@ -26,7 +27,7 @@ def draw(layout: bpy.types.UILayout, width: int) -> None:
         layout.operator("gskin.cancel_auto_skin", icon="X")
     elif state.outcome:
         box = layout.box().column(align=True)
-        icon = "ERROR" if state.failed else "INFO"
+        icon: Any = "ERROR" if state.failed else "INFO"
         for text in wrap(state.outcome, width):
             box.label(text=text, icon=icon)
             icon = "BLANK1"

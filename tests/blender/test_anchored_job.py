@@ -17,8 +17,10 @@ import pretend
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.job.contract import read_job
 from gskin_addon.core.job.mesh_files import read_mesh
+from gskin_addon.scene import names, weights
 from gskin_addon.scene.anchored import proxy_of
-from gskin_addon.scene.bone_frames import armature_of
+from gskin_addon.scene.attributes import read_attribute
+from gskin_addon.scene.bone_frames import armature_of, is_bone_frames
 from gskin_addon.scene.splat_object import create_splat_object
 from gskin_addon.scene.weights import read_weights
 from gskin_addon.session.skin_job import SkinJob
@@ -45,9 +47,9 @@ def test_the_mesh_gets_weights_and_the_splats_follow_it(scene):
     splats, body = scene.splats, scene.proxy
     assert proxy_of(splats) == body
     assert armature_of(body) == scene.armature
-    weights, bones = read_weights(body)
+    on_mesh, bones = read_weights(body)
     assert bones == ["lower", "upper"]
-    np.testing.assert_array_equal(weights, np.tile([1, 0], (54, 1)))
+    np.testing.assert_array_equal(on_mesh, np.tile([1, 0], (54, 1)))
     np.testing.assert_allclose(body.matrix_world, np.diag([2, 2, 2, 1]), atol=1e-6)
     assert {group.name for group in splats.vertex_groups} == {"lower", "upper"}
 
@@ -72,3 +74,62 @@ def test_a_mesh_changed_meanwhile_changes_nothing(scene):
         job.apply()
     assert proxy_of(scene.splats) is None
     assert not scene.splats.vertex_groups
+
+
+def untouched(scene) -> bool:
+    objects = scene.splats, scene.proxy
+    return not any(obj.vertex_groups or obj.parent or obj.find_armature() for obj in objects)
+
+
+def finished_job(scene) -> SkinJob:
+    job = SkinJob.start(scene.splats, scene.armature, scene.as_job(), sys.executable, scene.proxy)
+    while job.step():
+        pass
+    return job
+
+
+def test_a_mesh_that_cannot_be_anchored_to_gets_no_weights_either(scene):
+    job = finished_job(scene)
+    scene.proxy.modifiers.new("Smooth", "SUBSURF")
+    with pytest.raises(InputError, match="'Body' has modifiers that change its points"):
+        job.apply()
+    assert untouched(scene)
+    assert proxy_of(scene.splats) is None
+
+
+def test_stopped_after_any_slice_neither_object_is_changed(scene):
+    job = finished_job(scene)
+    before = {obj.name for obj in bpy.data.objects}, {mesh.name for mesh in bpy.data.meshes}
+    done = 0
+    while True:
+        steps = job.apply_steps()
+        try:
+            for _ in range(done + 1):
+                next(steps)
+        except StopIteration:
+            break
+        assert untouched(scene)
+        steps.close()
+        assert ({obj.name for obj in bpy.data.objects}, {mesh.name for mesh in bpy.data.meshes}) == before
+        done += 1
+    assert done >= 5
+    assert proxy_of(scene.splats) == scene.proxy
+
+
+def test_splats_on_a_mesh_get_no_modifiers_that_would_be_taken_off_again(scene, monkeypatch):
+    monkeypatch.setattr(weights, "bind", None)
+    finished_job(scene).apply()
+    assert [m.name for m in scene.splats.modifiers] == ["GSkin Anchor", "GSkin Display"]
+    assert not any(is_bone_frames(obj) for obj in bpy.data.objects)
+    assert scene.splats.parent == scene.proxy.parent == scene.armature
+    stored = read_attribute(scene.splats.data, names.BONE.format(0))
+    np.testing.assert_array_equal(stored, 0)  # the display by bones shows them
+
+
+def test_a_mesh_with_a_parent_keeps_it(scene):
+    parent = bpy.data.objects.new("Parent", None)
+    bpy.context.scene.collection.objects.link(parent)
+    scene.proxy.parent = parent
+    finished_job(scene).apply()
+    assert scene.proxy.parent == parent
+    assert armature_of(scene.proxy) == scene.armature

@@ -13,7 +13,7 @@ bpy = pytest.importorskip("bpy")
 
 import gskin_addon
 from gskin_addon.core.splats.cleanup import find_needles
-from gskin_addon.scene.splat_object import create_splat_object, is_splat_object, read_cloud
+from gskin_addon.scene.splat_object import create_splat_object, is_splat_object, read_cloud, replace_cloud
 
 BAD = [7, 30, 31]
 
@@ -109,6 +109,19 @@ def test_an_impossible_ratio_is_named(splats):
     with pytest.raises(RuntimeError, match="at least 1"):
         bpy.ops.gskin.clean_splats(max_aspect=0.5)
     assert read_cloud(splats).count == 600
+
+
+@pytest.mark.parametrize("action", ["ASIDE", "REMOVE"])
+def test_where_every_splat_is_bad_nothing_is_done_and_that_is_said(splats, action):
+    cloud = read_cloud(splats)
+    haze = replace(cloud, scales=np.full_like(cloud.scales, 1.0), opacities=np.full(600, 0.05, np.float32))
+    replace_cloud(splats, haze)
+    before = read_cloud(splats)
+    words = "All 600 splats of 'Slab' are strays or faint giants, so nothing was changed.*switch off"
+    with pytest.raises(RuntimeError, match=words):
+        bpy.ops.gskin.clean_splats(action=action, balls=True)
+    np.testing.assert_array_equal(read_cloud(splats).quats, before.quats)
+    assert "Slab Aside" not in bpy.data.objects
 
 
 def test_clean_waits_for_object_mode(splats):

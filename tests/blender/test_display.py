@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import rig_scenes as rigs
 import splat_clouds as clouds
-from PIL import Image
 
 bpy = pytest.importorskip("bpy")
+
+from pictures import read_picture
 
 import gskin_addon
 from gskin_addon.core.rig.colors import heat_colors, weight_colors
@@ -233,7 +234,7 @@ def test_a_render_shows_gaussians(studio, tmp_path):
     before = studio.render.resolution_x
     render_still(studio, path, size=(64, 64), samples=32)
     assert studio.render.resolution_x == before
-    image = np.asarray(Image.open(path).convert("RGB")) / 255.0
+    image = read_picture(path) / 255.0
 
     x, z = np.meshgrid((np.arange(64) + 0.5) / 32 - 1, 1 - (np.arange(64) + 0.5) / 32)
     wanted = np.ones((64, 64, 3))
@@ -265,7 +266,7 @@ def test_rendering_draws_the_pose(studio, tmp_path):
     for frame in (1, 2):
         studio.frame_set(frame)
         render_still(studio, tmp_path / f"{frame}.png", size=(40, 40), samples=4)
-        image = np.asarray(Image.open(tmp_path / f"{frame}.png").convert("L")).astype(int)
+        image = read_picture(tmp_path / f"{frame}.png") @ (0.299, 0.587, 0.114)
         darkest.append(np.array(np.unravel_index(image.argmin(), image.shape)))
     assert np.linalg.norm(darkest[1] - darkest[0]) > 4
 

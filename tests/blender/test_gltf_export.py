@@ -9,11 +9,12 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import splat_clouds as clouds
-from glb import Glb
+from glb import Glb, decode_attributes
 
 bpy = pytest.importorskip("bpy")
 
@@ -22,7 +23,7 @@ from gskin_addon.core.errors import GSkinError, InputError
 from gskin_addon.core.rig.lbs import top_influences
 from gskin_addon.core.rig.quaternion import matrix_to_quat, quat_multiply, quat_to_matrix
 from gskin_addon.core.splats.axes import rotate_cloud, up_rotation
-from gskin_addon.core.splats.gltf import decode_attributes, fallback_color
+from gskin_addon.core.splats.gltf import fallback_color
 from gskin_addon.scene import gltf_export
 from gskin_addon.scene.attributes import read_attribute, read_positions
 from gskin_addon.scene.gltf_export import SplatExport, export_glb
@@ -365,3 +366,50 @@ def test_up_minus_y_brings_a_real_file_to_its_rig():
     for name, bone in bones.items():
         head = armature.matrix_world @ armature.data.bones[name].head_local
         assert math.dist(head, up_rotation("-y") @ bone["head"]) < 1e-4
+
+
+class CountedObjects(list):
+    """A scene's objects that count how often they are looked through, by name or one by one."""
+
+    walks = 0
+    active = None
+
+    def __iter__(self):
+        CountedObjects.walks += 1
+        return super().__iter__()
+
+    def __contains__(self, wanted):
+        CountedObjects.walks += 1
+        return any(obj is wanted or obj.name == wanted for obj in list.__iter__(self))
+
+
+class CountedObject:
+    compared = 0
+
+    def __init__(self, number):
+        self.name, self.selected = f"o{number}", number % 2 == 0
+
+    def select_get(self):
+        return self.selected
+
+    def select_set(self, selected):
+        self.selected = selected
+
+    def __eq__(self, other):
+        CountedObject.compared += 1
+        return self is other
+
+    def __hash__(self):
+        return hash(self.name)
+
+
+def test_selecting_is_linear_in_the_objects(monkeypatch):
+    objects = CountedObjects(CountedObject(number) for number in range(1000))
+    layer = SimpleNamespace(objects=objects, update=lambda: None)
+    monkeypatch.setattr(gltf_export, "bpy", SimpleNamespace(context=SimpleNamespace(view_layer=layer)))
+    chosen = [obj for number, obj in enumerate(list.__iter__(objects)) if number % 3 == 0]
+    with gltf_export._selected(chosen):
+        assert [obj for obj in list.__iter__(objects) if obj.selected] == chosen
+    assert [obj.selected for obj in list.__iter__(objects)] == [number % 2 == 0 for number in range(1000)]
+    assert CountedObjects.walks <= 5
+    assert CountedObject.compared <= len(objects)

@@ -64,6 +64,11 @@ def test_only_what_differs_from_the_defaults_goes_into_the_job(scene, tmp_path):
     JobSettings.parse(scene.gskin.as_job())
 
 
+def test_a_folder_beside_the_scene_raises_no_warning(scene, recwarn):
+    scene.gskin.models.flux_repair.model = "//klein/"
+    assert [str(warning.message) for warning in recwarn if "relative" in str(warning.message)] == []
+
+
 def test_lightning_drag_takes_a_root_and_other_places(scene):
     scene.gskin.guidance = "lightning_drag"
     drag = scene.gskin.models.lightning_drag
@@ -82,11 +87,12 @@ def test_defaults_of_the_panel_are_the_providers_own(scene):
 def test_consent_counts_only_with_online_access(scene, online):
     scene.gskin.guidance = "flux_repair"
     online(True)
-    assert "allow_download" not in options(scene)
+    assert not scene.gskin.models.may_download()
     scene.gskin.models.allow_download = True
-    assert options(scene)["allow_download"] is True
+    assert scene.gskin.models.may_download()
+    assert "allow_download" not in options(scene)  # what becomes job.json
     online(False)
-    assert "allow_download" not in options(scene)
+    assert not scene.gskin.models.may_download()
 
 
 def test_consent_comes_with_no_file_and_ends_with_the_add_on(scene, tmp_path):

@@ -11,8 +11,8 @@ import splat_clouds as clouds
 bpy = pytest.importorskip("bpy")
 
 import gskin_addon
-from gskin_addon.core.job.contract import write_weights as write_weights_file
 from gskin_addon.core.rig.lbs import sparsify
+from gskin_addon.core.rig.weights_file import write_weights_file
 from gskin_addon.core.splats.ply import write_ply
 from gskin_addon.scene.armature import read_skeleton
 from gskin_addon.scene.attributes import read_attribute
@@ -121,6 +121,16 @@ def test_bind_with_groups_that_are_there(rig):
     assert bpy.ops.gskin.bind_to_armature() == {"FINISHED"}
     rigs.random_pose(armature, rng)
     rigs.assert_same_pose(obj, armature)
+
+
+def test_bind_without_weights_does_not_say_that_splats_follow(rig, capfd):
+    obj, armature, _, _ = rig
+    assert bpy.ops.gskin.bind_to_armature() == {"FINISHED"}
+    assert "60 of 60 splats have no weights for bones of 'Rig' and stay" in capfd.readouterr().out
+    for bone in armature.data.bones:
+        obj.vertex_groups.new(name=bone.name).add([*range(50)], 0.5, "REPLACE")
+    bpy.ops.gskin.bind_to_armature()
+    assert "10 of 60 splats" in capfd.readouterr().out
 
 
 def test_bind_says_what_is_missing(rig):

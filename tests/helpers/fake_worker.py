@@ -43,20 +43,25 @@ def act(cloud: Any, skeleton: Any, settings: dict[str, Any], progress: Any, chec
         os.kill(os.getpid(), signal.SIGSEGV)
     if what == "vanish":
         os._exit(3)
-    if what == "resume":  # ten steps; each is kept, and only new ones are counted
+    if what == "resume":  # ten steps, kept one by one; the first run stays at the fifth until it is stopped or let go
         kept = checkpoint / "step"
         first = int(kept.read_text()) if kept.exists() else 0
         for step in range(first, 10):
-            progress("step", step / 10, {}, str(step))
-            time.sleep(0.05)
             kept.with_suffix(".tmp").write_text(str(step + 1))
             os.replace(kept.with_suffix(".tmp"), kept)
+            progress("step", step / 10, {}, str(step))
+            while first == 0 and step == 4 and not (checkpoint / "go_on").exists():
+                time.sleep(0.01)
+                progress("step", step / 10, {}, str(step))
         settings = {"first": first}
+    weights = np.zeros((cloud.count, skeleton.count), np.float32)
+    weights[:, 0] = 1.0
+    if what == "heights":  # from bone 0 to bone 1 along the last tenth below and the first above bone 1's head
+        share = np.clip((cloud.means[:, 2] - skeleton.heads[1, 2]) / 0.2 + 0.5, 0, 1)
+        weights[:, 0], weights[:, 1] = 1 - share, share
     print("chatter on stdout")
     os.system("echo chatter of a child")
     progress("steps", 0.5, {"l1": 0.25, "bad": float("nan")}, "half")
-    weights = np.zeros((cloud.count, skeleton.count), np.float32)
-    weights[:, 0] = 1.0
     report = {"settings": settings, "loss": np.float32(0.5), "curve": np.array([1.0, np.inf])}
     previews = {"rest": np.full((4, 6, 3), 0.5)}
     on_mesh = None

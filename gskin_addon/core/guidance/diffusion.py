@@ -143,9 +143,12 @@ class DiffusionGuidance:
         from PIL import Image
 
         try:
-            with Image.open(path) as picture:
+            # PNG and nothing else: for some formats Pillow starts other programs.
+            with Image.open(path, formats=["PNG"]) as picture:
+                if picture.size[::-1] != signal.camera.size:
+                    return None
                 image = np.array(picture.convert("RGB"))
-        except (OSError, SyntaxError):  # what PIL says of a damaged PNG
+        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError):  # what PIL says of a damaged PNG
             return None
         return image if image.shape[:2] == signal.camera.size else None
 

@@ -41,7 +41,17 @@ class ElasticBody:
 
     def __init__(self, cloud: SplatCloud, heat: BoneHeat) -> None:
         """cloud: N splats; heat: on the same."""
+        from scipy import sparse
+        from scipy.sparse.linalg import splu
+
         self.cloud, self._heat = cloud, heat
+        a, b = heat.graph.edges.T
+        count = len(heat.rest)
+        one_way = sparse.coo_matrix((np.ones(len(a)), (a, b)), shape=(count, count))
+        self._adjacency = (one_way + one_way.T).tocsr()
+        degree = np.asarray(self._adjacency.sum(axis=1)).ravel()
+        # Poses are solved for again and again: factors pay, unlike for the heat itself.
+        self._solver = splu((sparse.diags(degree + heat.handle_strength) - self._adjacency).tocsc())
 
     def pose(self, transforms: NDArray[Any]) -> Iterator[SplatCloud]:
         """The cloud in each pose of transforms (P, B, 4, 4)."""
@@ -51,13 +61,13 @@ class ElasticBody:
         posed = skin_points(rest, heat.equilibrium, transforms)
         rotations = np.empty((*posed.shape[:2], 3, 3))
         pull = np.empty_like(posed)
-        graph = heat.adjacency
+        graph = self._adjacency
         for _ in range(ITERATIONS):
             _local_rotations(rest, posed, graph.indptr, graph.indices, rotations)
             _turned_edges(rest, rotations, graph.indptr, graph.indices, pull)
             pull += heat.handle_strength[:, None] * goal
             flat = pull.transpose(1, 0, 2).reshape(len(rest), -1)
-            solved = heat.solver.solve(flat).reshape(len(rest), len(transforms), 3)
+            solved = self._solver.solve(flat).reshape(len(rest), len(transforms), 3)
             posed = np.ascontiguousarray(solved.transpose(1, 0, 2))
         _local_rotations(rest, posed, graph.indptr, graph.indices, rotations)
         for position, rotation in zip(posed, rotations, strict=True):

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from . import consent
 from .diffusion import (
     DiffusionGuidance,
     Frame,
@@ -206,7 +207,7 @@ def create(context: GuidanceContext) -> DiffusionGuidance:
     folder = find_model(
         options.model,
         FILES,
-        allow_download=options.allow_download,
+        allow_download=consent.is_given(),
         tell=lambda message: context.tick(0.0, message),
     )
     check_index(folder)

@@ -126,7 +126,8 @@ class GuidedStage:
         """
         chosen, preset, eta = self.job.settings, self.preset, self.eta
         eta.tell("guidance", "Distances through the body")
-        distances = body_distances(subset.cloud, skeleton)
+        walls = None if self.job.scope.walls is None else self.job.scope.walls[subset.index]
+        distances = body_distances(subset.cloud, skeleton, walls=walls)
         eta.did("distances")
         weight_field = create_field(self._field_name(), poser.nodes, nodes, chosen.field_options)
         context = GuidanceContext(

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
+import copy
 import math
-import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +13,9 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..checkpoint import load_checkpoint, save_checkpoint
+from ..errors import InputError, first_line
+from ..files import remove_leftovers
 from ..guidance.control import ControlSignal
 from ..skinning.optimise import PRUNE_FROM, Optimiser, look_schedule
 from ..skinning.presets import Preset
@@ -23,6 +26,7 @@ CHECKS = 10
 """Looks at the held-out poses in a run."""
 TRIALS = 3
 """Iterations that are timed before anything is learned, at each size: one alone may be a fifth off."""
+STATE, OLD_STATE = "optimiser.safetensors", "optimiser.pt"
 CHECKPOINT_SECONDS = 5.0
 # The weight volume's state has 450 MB: writing it may take this part of the time.
 CHECKPOINT_SHARE = 0.1
@@ -98,13 +102,10 @@ def make_guidance(provider: Any, signals: Sequence[ControlSignal], eta: Eta) -> 
 
 def optimise(optimiser: Optimiser, eta: Eta, checkpoint: Path) -> list[dict[str, float]]:
     """Run to the end, from the checkpoint where there is one; the losses of about 50 iterations."""
-    path = checkpoint / "optimiser.pt"
     iterations = optimiser.preset.iterations
-    history: list[dict[str, float]] = []
-    if path.is_file():
-        state = torch.load(path, weights_only=False)  # our own file, in the job's own folder
-        optimiser.restore(state["optimiser"])
-        history = state["history"]
+    history, remark = _load(optimiser, checkpoint)
+    if remark:
+        eta.tell("optimise", remark)
     _skip_done(optimiser, eta)
     checks, every = _check_at(optimiser.preset), max(1, iterations // 50)
     slow = _first_visits(optimiser.preset, len(optimiser.targets))
@@ -127,7 +128,7 @@ def optimise(optimiser: Optimiser, eta: Eta, checkpoint: Path) -> list[dict[str,
             eta.did("check")
         begun = time.monotonic()
         if begun - saved > CHECKPOINT_SECONDS + cost / CHECKPOINT_SHARE:
-            _save({"optimiser": optimiser.state(), "history": history}, path)
+            _save(optimiser, history, checkpoint)
             saved = time.monotonic()
             cost = saved - begun
             eta.forget()
@@ -150,7 +151,36 @@ def _skip_done(optimiser: Optimiser, eta: Eta) -> None:
     optimiser.iteration = reached
 
 
-def _save(state: dict[str, Any], path: Path) -> None:
-    temporary = path.with_suffix(".tmp")
-    torch.save(state, temporary)
-    os.replace(temporary, path)
+def _save(optimiser: Optimiser, history: list[dict[str, float]], checkpoint: Path) -> None:
+    state = optimiser.state()
+    seen = [None if mask is None else torch.from_numpy(mask) for mask in state["seen"]]
+    save_checkpoint(checkpoint / STATE, {"optimiser": {**state, "seen": seen}, "history": history})
+
+
+def _load(optimiser: Optimiser, checkpoint: Path) -> tuple[list[dict[str, float]], str]:
+    """Put the optimiser where a stopped run left it; returns that run's losses.
+
+    A checkpoint that cannot be used is put aside, since what it holds can be learned again; the second value then
+    says so, otherwise it is empty. Those of gskin 0.1.0 were pickles, which can run code, and are not even opened.
+    """
+    remove_leftovers(checkpoint)
+    path, old = checkpoint / STATE, checkpoint / OLD_STATE
+    if old.exists() or old.is_symlink():
+        old.unlink()
+        if not path.is_file():
+            return [], "The checkpoint of an older gskin is not read, the learning starts anew"
+    if not path.is_file():
+        return [], ""
+    before = copy.deepcopy(optimiser.state())
+    try:
+        state = load_checkpoint(path)
+        kept = state["optimiser"]
+        optimiser.restore({**kept, "seen": [None if mask is None else mask.numpy() for mask in kept["seen"]]})
+        if not 0 <= optimiser.iteration <= optimiser.preset.iterations:
+            raise ValueError(f"iteration {optimiser.iteration}")
+        return [dict(parts) for parts in state["history"]], ""
+    # What a checkpoint of another version, or one that somebody made up, may stumble over.
+    except (InputError, AttributeError, IndexError, KeyError, TypeError, ValueError, RuntimeError) as error:
+        optimiser.restore(before)
+        path.unlink()
+        return [], f"The checkpoint cannot be used ({first_line(error)}), the learning starts anew"

@@ -15,6 +15,9 @@ from .quaternion import matrix_to_quat, nearest_rotation, normalize, quat_multip
 
 Array = NDArray[Any]
 
+PART = 1 << 18
+"""Weights that are sorted at a time."""
+
 
 def skin_points(points: Array, weights: Array, transforms: Array) -> Array:
     """Eq. 1: x' = sum_b w_b P_b x.
@@ -85,7 +88,41 @@ def top_influences(weights: Array, k: int) -> tuple[Array, Array]:
     weights = np.asarray(weights)
     if k < 1:
         raise ValueError(f"at least one influence per splat is needed, got {k}")
+    count, bones = weights.shape
+    k = min(k, bones)
+    # By parts: sorting takes three times the memory of what is sorted.
+    rows = max(1, PART // max(1, bones))
+    index = np.empty((count, k), dtype=np.intp)
+    value = np.empty((count, k), dtype=np.true_divide(weights[:0], 1).dtype)
+    for first in range(0, count, rows):
+        part = slice(first, first + rows)
+        index[part], value[part] = _top_of(weights[part], k)
+    return index, value
+
+
+def few_influences(weights: Array, k: int) -> tuple[Array, Array] | None:
+    """`top_influences` of weights (N, B) of which no row has more than k bones above 0, without sorting all B.
+
+    None where a row has more, or none at all. Slots without a bone have weight 0 and any index.
+    """
+    weights = np.asarray(weights)
+    held = weights > 0
+    counts = np.count_nonzero(held, axis=1)
+    if k < 1 or (len(counts) and not 0 < counts.min() <= counts.max() <= k):
+        return None
+    row, column = np.nonzero(held)
+    slot = np.arange(len(row)) - np.repeat(counts.cumsum() - counts, counts)
     k = min(k, weights.shape[1])
+    index = np.zeros((len(weights), k), dtype=np.intp)
+    value = np.zeros((len(weights), k), dtype=weights.dtype)
+    index[row, slot], value[row, slot] = column, weights[row, column]
+    order = np.argsort(-value, axis=1, kind="stable")
+    value = np.take_along_axis(value, order, axis=1)
+    return np.take_along_axis(index, order, axis=1), value / value.sum(axis=1, keepdims=True)
+
+
+def _top_of(weights: Array, k: int) -> tuple[Array, Array]:
+    """`top_influences` in one go."""
     if k < weights.shape[1]:
         index = np.argpartition(-weights, k - 1, axis=1)[:, :k]
     else:

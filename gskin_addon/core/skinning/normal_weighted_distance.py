@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..rig.nearest_points import nearest_points
 from ..rig.segments import BoneSegments, closest_on_segment
+from .voxel_filters import blur, slope_at
 from .voxels import VoxelGrid
 
 Array = NDArray[Any]
@@ -20,20 +22,24 @@ Array = NDArray[Any]
 _CLEAR = 0.5
 """Share of the usual density step at a surface from which on the outside is beyond doubt."""
 
-_NEIGHBOURS = 32
+NEIGHBOURS = 32
+"""Splats around one whose normals are asked whether they agree."""
+
 _SPLIT, _WHOLE = 0.4, 0.8
 """Agreements from which on an outward normal counts in part, and in whole. Of cloth that lies close to a body only the
 outer side shows which way is out: it agrees with half of the splats around."""
 
 
-def surface_normals(points: Array, neighbours: int = 12) -> Array:
-    """(N, 3) unit normals, of either sign: the direction in which the nearest splats spread least."""
-    from scipy.spatial import cKDTree
+def surface_normals(points: Array, neighbours: int = 12, near: Array | None = None) -> Array:
+    """(N, 3) unit normals, of either sign: the direction in which the nearest splats spread least.
 
+    near (N, >= neighbours): indices of each splat's nearest, itself included, where they are known.
+    """
     k = min(neighbours, len(points))
-    near = points[cKDTree(points).query(points, k)[1].reshape(len(points), -1)]
-    near = near - near.mean(axis=1, keepdims=True)
-    spread = np.einsum("nki,nkj->nij", near, near)
+    index = nearest_points(points, points, k)[1] if near is None else near[:, :k]
+    around = points[index]
+    around = around - around.mean(axis=1, keepdims=True)
+    spread = np.einsum("nki,nkj->nij", around, around)
     return np.linalg.eigh(spread)[1][:, :, 0]
 
 
@@ -43,30 +49,24 @@ def outward(points: Array, normals: Array, grid: VoxelGrid) -> Array:
 
     points, normals (N, 3), unit, of either sign; grid: of the same object.
     """
-    from scipy import ndimage
-
-    density = ndimage.gaussian_filter(grid.solid.astype(np.float32), 1.0)
-    at = grid.coordinates(points).T - 0.5
-    steepest = np.stack(
-        [ndimage.map_coordinates(slope, at, order=1, mode="nearest") for slope in np.gradient(density)], axis=1
-    )
+    steepest = slope_at(blur(grid.solid), grid.coordinates(points) - 0.5)
     fall = -np.einsum("nk,nk->n", steepest, normals)
     usual = float(np.median(np.abs(fall))) or 1.0
     return np.asarray(normals * np.clip(fall / (_CLEAR * usual), -1, 1)[:, None])
 
 
-def agreed(points: Array, out: Array, nearest: Array, size: float) -> Array:
+def agreed(
+    points: Array, out: Array, nearest: Array, size: float, around: tuple[Array, Array] | None = None
+) -> Array:
     """`out` (N, 3), shorter where splats around disagree: the two sides of cloth do not tell where its bones are.
 
     Around means within half of nearest (N,), the distance to the closest bone, so that a finger's bone, which is as
-    near as its skin is thick, keeps its say; size: the object's diagonal.
+    near as its skin is thick, keeps its say; size: the object's diagonal; around: distances and indices (N, NEIGHBOURS)
+    of each splat's nearest, where they are known.
     """
-    from scipy.spatial import cKDTree
-
-    k = min(_NEIGHBOURS, len(points))
-    way, near = (a.reshape(len(points), -1) for a in cKDTree(points).query(points, k))
-    around = way <= np.clip(0.5 * nearest, 0.005 * size, 0.05 * size)[:, None]
-    mean = (out[near] * around[..., None]).sum(axis=1) / around.sum(axis=1)[:, None]
+    way, near = around or nearest_points(points, points, min(NEIGHBOURS, len(points)))
+    close = way <= np.clip(0.5 * nearest, 0.005 * size, 0.05 * size)[:, None]
+    mean = (out[near] * close[..., None]).sum(axis=1) / close.sum(axis=1)[:, None]
     agreement = (mean * out).sum(axis=1) / np.maximum(np.square(out).sum(axis=1), 1e-18)
     return np.asarray(out * np.clip((agreement - _SPLIT) / (_WHOLE - _SPLIT), 0, 1)[:, None])
 

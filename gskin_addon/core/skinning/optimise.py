@@ -105,7 +105,6 @@ class Optimiser:
         size = self.size_now()
         if self.must_look:
             self.look()
-        self.field.unlock(self.iteration / max(self.preset.iterations, 1))
         for group in self._adam.param_groups:
             group["lr"] = self._rate * self._decay()
         batch = [self._next_target() for _ in range(min(self.preset.batch, len(self.targets)))]
@@ -161,7 +160,6 @@ class Optimiser:
     def restore(self, state: dict[str, Any]) -> None:
         """Go on from a `state` of an optimiser with the same inputs."""
         self.iteration = int(state["iteration"])
-        self.field.unlock((self.iteration - 1) / max(self.preset.iterations, 1))
         self.field.load_state_dict(state["field"])
         self._adam.load_state_dict(state["adam"])
         self._rng.bit_generator.state = state["rng"]

@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..render.cpu.backend import morton_order
+from ..rig.nearest_points import nearest_points
 from ..splats.cloud import SplatCloud
-from .fields.base import LOG_FLOOR
+from ..splats.morton import morton_order
+from .fields import LOG_FLOOR
+from .walls import nearest_open
 
 LIMIT = 150_000
 NEIGHBOURS = 4
@@ -51,12 +53,9 @@ class SplatSubset:
         out[self.index] = learned
         if len(self.index) == self.whole.count:
             return out
-        from scipy.spatial import cKDTree
-
         rest = np.ones(self.whole.count, bool)
         rest[self.index] = False
         others = np.flatnonzero(rest)
-        tree = cKDTree(self.cloud.means)
         for first in range(0, len(others), _CHUNK):
             part = others[first : first + _CHUNK]
             points = self.whole.means[part]
@@ -65,7 +64,7 @@ class SplatSubset:
                 found = np.zeros((len(part), out.shape[1]), np.float32), np.zeros(len(part), bool)
             change, known = found
             lost = np.flatnonzero(~known)
-            distance, near = tree.query(points[lost], NEIGHBOURS)
+            distance, near = nearest_points(self.cloud.means, points[lost], NEIGHBOURS)
             share = 1.0 / np.maximum(distance, 1e-9)
             share = (share / share.sum(1, keepdims=True)).astype(np.float32)
             change[lost] = 0.0
@@ -81,16 +80,18 @@ class SplatSubset:
 
 
 def follow_nearest(
-    means: NDArray[np.float32], weights: NDArray[np.float32], ignored: NDArray[np.bool_]
+    means: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    ignored: NDArray[np.bool_],
+    walls: NDArray[Any] | None = None,
 ) -> NDArray[np.float32]:
-    """Weights (N, B) in which the `ignored` splats (N,) move as the nearest of the others does; changed in place."""
+    """Weights (N, B) in which the `ignored` splats (N,) move as the nearest of the others does that no wall (N,) keeps
+    from them; changed in place."""
     if not ignored.any():
         return weights
-    from scipy.spatial import cKDTree
-
-    others = np.flatnonzero(~ignored)
-    near = others[cKDTree(means[others]).query(means[ignored])[1]]
-    weights[ignored] = weights[near]
+    others, strays = np.flatnonzero(~ignored), np.flatnonzero(ignored)
+    labels, own = (None, None) if walls is None else (walls[others], walls[strays])
+    weights[strays] = weights[others[nearest_open(means[others], means[strays], labels, own)[1]]]
     return weights
 
 

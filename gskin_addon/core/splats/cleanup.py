@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from .cloud import SplatCloud
+from .components import connected_components
 
 Mask = NDArray[np.bool_]
 
@@ -46,7 +47,7 @@ def find_strays(
     around = number + np.bincount(first, number[second], len(keys)) + np.bincount(second, number[first], len(keys))
     dense = around >= crowd
     linked = dense[first] & dense[second]
-    label = _components(len(keys), first[linked], second[linked])
+    label = connected_components(len(keys), first[linked], second[linked])
     amount = np.bincount(label[dense], number[dense], len(keys))
     kept = dense & (amount[label] >= min(share * cloud.count, amount.max()))
     if not kept.any():  # so few splats that none has company
@@ -185,18 +186,3 @@ def _adjacent_cells(keys: NDArray[np.int64], size: NDArray[np.int64]) -> tuple[N
             first = np.flatnonzero(keys[at] == keys + step)
             pairs.append((first, at[first]))
     return np.concatenate([a for a, _ in pairs]), np.concatenate([b for _, b in pairs])
-
-
-def _components(count: int, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Label (count,) of the connected component of every node: its smallest node."""
-    label = np.arange(count)
-    while True:
-        low = np.minimum(label[first], label[second])
-        before = label.copy()
-        # Hook the roots of both ends under the smaller label, then let everyone point at their root.
-        np.minimum.at(label, before[first], low)
-        np.minimum.at(label, before[second], low)
-        while not np.array_equal(label, label[label]):
-            label = label[label]
-        if np.array_equal(label, before):
-            return label

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..errors import Cancelled, GSkinError, InputError
+from ..guidance.consent import with_consent
 from ..job.contract import Result, read_result
 from ..job.progress import ProgressEvent
 from .interpreter import worker_environment
@@ -52,11 +53,23 @@ class WorkerClient:
     """Seconds after `cancel` at which a worker that is still there is killed."""
 
     def __init__(
-        self, python: str | Path, folder: str | Path, program: Path = PROGRAM, *, gentle: bool = False
+        self,
+        python: str | Path,
+        folder: str | Path,
+        program: Path = PROGRAM,
+        *,
+        isolated: bool = False,
+        gentle: bool = False,
+        allow_download: bool = False,
     ) -> None:
-        """gentle: the worker gives way to other programs, so that a window stays quick while it runs."""
+        """isolated: the worker sees nothing of the user's own Python packages and PYTHON... variables.
+
+        gentle: the worker gives way to other programs, so that a window stays quick while it runs.
+
+        allow_download: the person agreed, for this run, to fetch models that are missing.
+        """
         self.python, self.folder = Path(python), Path(folder)
-        self._gentle = gentle
+        self._isolated, self._gentle, self._allow_download = isolated, gentle, allow_download
         self.state: State = "new"
         self.error = ""
         self.traceback = ""
@@ -76,7 +89,8 @@ class WorkerClient:
         """
         if self._process is not None:
             raise RuntimeError("a WorkerClient runs once")
-        command = [str(self.python), "-u", str(self._program), str(self.folder)]
+        isolated = ["-I"] if self._isolated else []
+        command = [str(self.python), *isolated, "-u", str(self._program), str(self.folder)]
         flags: int = getattr(subprocess, "CREATE_NO_WINDOW", 0)
         if self._gentle:
             flags |= getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0)
@@ -86,7 +100,7 @@ class WorkerClient:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
-                env=worker_environment(),
+                env=with_consent(worker_environment(), self._allow_download),
                 creationflags=flags,
             )
         except OSError as error:

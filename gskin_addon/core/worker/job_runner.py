@@ -20,10 +20,13 @@ from ..job.progress import CancelFlag, Progress
 from . import parent_watch
 
 if TYPE_CHECKING:
+    from ..job.contract import Job
     from ..pipeline.result import SkinResult
 
-MODULES = ("numpy", "scipy", "numba", "torch", "safetensors")
-"""What the interpreter of a worker must have."""
+MODULES = ("numpy",)
+"""What the interpreter of a worker must have for a job that neither renders nor learns."""
+RUNTIME_MODULES = ("numpy", "scipy", "numba", "torch", "safetensors")
+"""What it must have for the others; see `JobSettings.needs_runtime`."""
 
 _LAST_RESORT = 2.0
 """Seconds after which a cancelled process ends whatever it is doing, should its supervisor be gone."""
@@ -68,8 +71,6 @@ def run_job(
     """
     progress = Progress(send, cancelled)
     progress("start", 0.0, {}, "Reading the job")
-    if pipeline is None:
-        check_modules()
     from ..job.contract import LOCK, is_finished, read_job, write_result
     from ..job.lock import job_lock
 
@@ -80,8 +81,7 @@ def run_job(
         if not is_finished(folder):
             started = time.monotonic()
             if pipeline is None:
-                progress("start", 0.0, {}, "Loading torch")
-                pipeline = _load_pipeline()
+                pipeline = _load_pipeline(job, progress)
             job.checkpoint.mkdir(exist_ok=True)
             result = pipeline(job.cloud, job.skeleton, job.settings, progress, job.checkpoint)
             seconds = time.monotonic() - started
@@ -121,7 +121,14 @@ def explain(error: BaseException) -> tuple[int, str, str]:
     return 1, f"The worker failed with {type(error).__name__}: {words}"[:500], details
 
 
-def _load_pipeline() -> Pipeline:
+def _load_pipeline(job: Job, progress: Progress) -> Pipeline:
+    from ..job.settings import JobSettings
+    from ..pipeline.run import run
+
+    if not JobSettings.parse(job.settings).needs_runtime:
+        return run
+    progress("start", 0.0, {}, "Loading torch")
+    check_modules(RUNTIME_MODULES)
     try:
         import numba  # noqa: F401
         import torch  # noqa: F401
@@ -130,8 +137,6 @@ def _load_pipeline() -> Pipeline:
             f"The worker's interpreter '{sys.executable}' has a broken installation ({error}); install again "
             f"with: {sys.executable} -m pip install --force-reinstall torch numba"
         ) from error
-    from ..pipeline.run import run
-
     return run
 
 

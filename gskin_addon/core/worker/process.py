@@ -40,6 +40,10 @@ def main(arguments: list[str] | None = None) -> int:
             "in the add-on's preferences (or GSKIN_PYTHON)."
         )
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # idle threads must not take the artist's cores
+    # numpy reads these when it loads. Its threads spin while they wait, and cost a job on small matrices several times
+    # the core-seconds that they save; the job has threads of its own. torch does not heed them.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("VECLIB_MAXIMUM_THREADS", "1")
     os.environ.setdefault("NUMBA_CACHE_DIR", user_cache("numba"))
     os.environ.setdefault("WARP_CACHE_PATH", user_cache("warp"))
     package = load_package()
@@ -54,7 +58,8 @@ def main(arguments: list[str] | None = None) -> int:
         job_runner = importlib.import_module(f"{package}.core.worker.job_runner")
         return int(job_runner.main(folders[0]))
     supervisor = importlib.import_module(f"{package}.core.worker.supervisor")
-    command = [sys.executable, "-u", os.path.abspath(__file__), "--compute", folders[0]]
+    isolated = ["-I"] if sys.flags.isolated else []
+    command = [sys.executable, *isolated, "-u", os.path.abspath(__file__), "--compute", folders[0]]
     return int(supervisor.supervise(command))
 
 

@@ -3,11 +3,21 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gskin_addon.core.rig.lbs import skin_cloud, skin_points, skin_quats, sparsify, top_influences
+from gskin_addon.core.rig import lbs
+from gskin_addon.core.rig.lbs import (
+    few_influences,
+    skin_cloud,
+    skin_points,
+    skin_quats,
+    sparsify,
+    top_influences,
+)
 from gskin_addon.core.rig.quaternion import axis_angle_to_matrix, quat_to_matrix
 from gskin_addon.core.splats.cloud import SplatCloud
 from gskin_addon.core.splats.sh import eval_sh
@@ -136,6 +146,70 @@ def test_top_influences_against_sorting():
     assert (np.count_nonzero(dense, axis=1) <= 4).all()
     np.testing.assert_allclose(dense.sum(axis=1), 1, atol=1e-6)
     np.testing.assert_allclose(sparsify(weights, 20), weights, atol=1e-6)
+
+
+def whole_rows_sorted(weights, k):
+    """`top_influences` before it worked by parts."""
+    k = min(k, weights.shape[1])
+    if k < weights.shape[1]:
+        index = np.argpartition(-weights, k - 1, axis=1)[:, :k]
+    else:
+        index = np.broadcast_to(np.arange(k), weights.shape).copy()
+    value = np.take_along_axis(weights, index, axis=1)
+    order = np.argsort(-value, axis=1, kind="stable")
+    index = np.take_along_axis(index, order, axis=1)
+    value = np.maximum(np.take_along_axis(value, order, axis=1), 0)
+    total = value.sum(axis=1, keepdims=True)
+    value = value / np.where(total > 0, total, 1)
+    value[total[:, 0] <= 0, 0] = 1
+    return index, value
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64, np.int32])
+@pytest.mark.parametrize("part", [1, 7, 40, 1 << 18])
+@pytest.mark.parametrize("k", [1, 4, 8, 20])
+def test_parts_give_the_same_bits(monkeypatch, dtype, part, k):
+    monkeypatch.setattr(lbs, "PART", part)
+    rng = np.random.default_rng(7)
+    weights = (100 * rng.dirichlet(np.full(12, 0.3), size=101)).astype(dtype)
+    weights[[3, 60]] = 0
+    index, value = top_influences(weights, k)
+    wanted_index, wanted_value = whole_rows_sorted(weights, k)
+    np.testing.assert_array_equal(index, wanted_index)
+    np.testing.assert_array_equal(value, wanted_value)
+    assert value.dtype == wanted_value.dtype
+    assert top_influences(weights[:0], k)[0].shape == (0, min(k, 12))
+
+
+def test_sorting_takes_less_memory_than_the_weights():
+    weights = np.random.default_rng(8).random((40_000, 100), dtype=np.float32)
+    tracemalloc.start()
+    try:
+        top_influences(weights, 4)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < weights.nbytes
+
+
+@pytest.mark.parametrize("k", [1, 3, 4, 9, 12])
+def test_sparse_rows_need_no_sorting_for_the_same_bits(k):
+    rng = np.random.default_rng(9)
+    weights = sparsify(rng.dirichlet(np.full(12, 0.5), size=300).astype(np.float32), k)
+    index, value = few_influences(weights, k)
+    wanted_index, wanted = top_influences(weights, k)
+    np.testing.assert_array_equal(value, wanted)
+    np.testing.assert_array_equal(np.where(value > 0, index, -1), np.where(wanted > 0, wanted_index, -1))
+
+
+def test_rows_with_more_bones_or_none_are_left_to_sorting():
+    weights = np.array([[0.5, 0.5, 0], [0.2, 0.3, 0.5]], np.float32)
+    assert few_influences(weights, 2) is None
+    assert few_influences(np.zeros((2, 3), np.float32), 2) is None
+    assert few_influences(weights, 0) is None
+    index, value = few_influences(np.array([[0.5, 0, 0.5]]), 5)
+    np.testing.assert_array_equal(index[0, :2], [0, 2])  # of two equal ones the first comes first
+    np.testing.assert_array_equal(value, [[0.5, 0.5, 0]])
 
 
 def test_a_splat_without_weights_follows_one_bone():

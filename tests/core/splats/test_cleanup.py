@@ -7,13 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.splats.cleanup import (
     Hygiene,
-    _components,
     clamp_aspect,
     find_faint_giants,
     find_needles,
@@ -67,17 +64,6 @@ def test_few_splats_are_never_all_strays():
     assert find_strays(at(np.zeros((0, 3)))).shape == (0,)
     assert find_faint_giants(at(np.zeros((0, 3)))).shape == (0,)
     assert not find_strays(at(np.zeros((9, 3)))).any()  # all in one place
-
-
-def test_components_are_those_of_scipy():
-    rng = np.random.default_rng(3)
-    for count in (1, 30, 400):
-        first, second = rng.integers(0, count, (2, int(0.9 * count)))
-        label = _components(count, first, second)
-        _, expected = connected_components(coo_matrix((np.ones(len(first)), (first, second)), (count, count)), False)
-        smallest = np.full(count, count)
-        np.minimum.at(smallest, expected, np.arange(count))
-        np.testing.assert_array_equal(label, smallest[expected])
 
 
 def test_faint_giants():

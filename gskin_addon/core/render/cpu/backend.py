@@ -53,20 +53,6 @@ def camera_vector(camera: Camera, dilation: float = DILATION, compensate: float 
     return c
 
 
-def morton_order(points: ArrayLike) -> NDArray[np.int64]:
-    """Order (N,) of points (N,3) along a Morton curve: neighbours in space become neighbours in memory."""
-    p = np.asarray(points, np.float64)
-    lower, extent = p.min(axis=0), np.ptp(p, axis=0)
-    cells = ((p - lower) / np.maximum(extent.max(), 1e-30) * 1023).astype(np.uint64)
-    code = np.zeros(len(p), np.uint64)
-    for axis in range(3):
-        c = cells[:, axis]
-        for shift, mask in ((16, 0x30000FF), (8, 0x300F00F), (4, 0x30C30C3), (2, 0x9249249)):
-            c = (c | (c << np.uint64(shift))) & np.uint64(mask)
-        code |= c << np.uint64(axis)
-    return np.argsort(code, kind="stable")
-
-
 @dataclass(frozen=True)
 class Frame:
     """What a forward pass leaves for its backward pass; `image` (H,W,3) and `alpha` (H,W) are its result."""

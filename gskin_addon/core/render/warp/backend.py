@@ -152,9 +152,15 @@ class WarpScene:
         losses: Sequence[ImageLoss],
         background: ArrayLike = (1.0, 1.0, 1.0),
     ) -> tuple[NDArray[np.float64], Tensor, Tensor]:
-        """render_and_grad_many of torch tensors that are on the scene's device: nothing but values leaves it."""
+        """render_and_grad_many of torch tensors that are on the scene's device: nothing but values leaves it.
+
+        Raises ValueError for tensors elsewhere, which a kernel on a GPU could not read.
+        """
         import torch
 
+        for tensor in (means, quats):
+            if str(tensor.device) != self.tensor_device:
+                raise ValueError(f"a tensor on {tensor.device} for a scene on {self.tensor_device}")
         m, q = means.detach().to(torch.float32).contiguous(), quats.detach().to(torch.float32).contiguous()
         grad_means, grad_quats = torch.empty_like(m), torch.empty_like(q)
         values = np.zeros(len(cameras))

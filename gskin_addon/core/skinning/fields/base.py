@@ -10,8 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-LOG_FLOOR = 1e-4
-"""Least initial weight. Eq. (7) gives far bones about 1e-6; their logits must stay within reach of Adam."""
+from . import LOG_FLOOR
 
 
 class WeightField(torch.nn.Module):
@@ -33,9 +32,6 @@ class WeightField(torch.nn.Module):
     def initial(self) -> torch.Tensor:
         """The initial weights (N, B) as the field takes them: at least about `LOG_FLOOR`."""
         return self._prior.exp()
-
-    def unlock(self, part: float) -> None:
-        """Told before each iteration what part of the run is done; fields that learn in stages override it."""
 
     def query(self, points: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.bool_]] | None:
         """Learned logits (M, B) at other points (M, 3), and where they are known (M,); None where a field is no

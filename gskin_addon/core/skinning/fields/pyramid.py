@@ -71,6 +71,7 @@ def create(points: NDArray[Any], initial: NDArray[Any], resolutions: Sequence[in
     Raises:
         InputError: no resolutions, or one that is not a whole number from 2 up.
     """
-    if not resolutions or any(not isinstance(size, int) or size < 2 for size in resolutions):
+    sizes = resolutions if isinstance(resolutions, list | tuple) else ()
+    if not sizes or any(not isinstance(size, int) or size < 2 for size in sizes):
         raise InputError(f"The pyramid's resolutions are {resolutions!r}; they must be whole numbers from 2 up.")
     return SparsePyramid(points, initial, resolutions)

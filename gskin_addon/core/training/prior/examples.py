@@ -12,24 +12,12 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...rig.quaternion import axis_angle_to_matrix
-from ...rig.skeleton import Skeleton, parents_first
+from ...rig.skeleton import Skeleton
 from ...splats.cloud import SH_C0, SplatCloud
 from ...splats.from_mesh import sample_mesh
+from ..rigged import RiggedMesh, read_rigged_mesh
 
 Array = NDArray[Any]
-
-
-@dataclass(frozen=True)
-class Mesh:
-    """A rigged mesh: verts (V, 3), faces (F, 3), corner_rgb (F, 3, 3) in [0, 1], weights (V, B) float32; used
-    (B,): the bones that carry weight."""
-
-    verts: Array
-    faces: Array
-    corner_rgb: Array
-    weights: Array
-    skeleton: Skeleton
-    used: Array
 
 
 @dataclass(frozen=True)
@@ -42,28 +30,14 @@ class Subject:
     valid: Array
 
 
-def read_mesh_asset(path: Path) -> Mesh:
-    """A rigged mesh of the layout in docs/training.md."""
-    try:
-        data = np.load(path)
-        parent = data["bone_parent"].astype(int)
-        depth = parents_first(parent)
-        place = np.empty(len(depth), np.int64)
-        place[depth] = np.arange(len(depth))
-        parents = np.where(parent[depth] >= 0, place[parent[depth]], -1)
-        verts = data["verts"].astype(np.float64)
-        weights = np.zeros((len(verts), len(parent)), np.float32)
-        weights[data["w_row"], data["w_col"]] = data["w_val"]
-        weights = weights[:, depth]
-        named = data["bone_names"] if "bone_names" in data else np.arange(len(parent))
-        names = tuple(str(name) for name in named[depth])
-        heads, tails = (data[key][depth].astype(np.float64) for key in ("bone_head", "bone_tail"))
-        short = np.linalg.norm(tails - heads, axis=1) < 1e-6 * np.ptp(verts, axis=0).max()
-        tails[short] += np.array([0.0, 0.0, 1e-3]) * np.ptp(verts, axis=0).max()
-        rgb = data["corner_rgb"] / 255.0
-        return Mesh(verts, data["faces"], rgb, weights, Skeleton(names, parents, heads, tails), weights.max(0) > 0.01)
-    except (OSError, ValueError, KeyError, IndexError) as error:
-        raise InputError(f"'{path}' is no rigged asset ({error}); see docs/training.md.") from error
+def read_mesh_asset(path: Path) -> RiggedMesh:
+    """A rigged mesh of the layout in docs/training.md, every bone with a length and without a rest matrix."""
+    mesh = read_rigged_mesh(path)
+    size, old = np.ptp(mesh.verts, axis=0).max(), mesh.skeleton
+    tails = old.tails.copy()
+    tails[np.linalg.norm(tails - old.heads, axis=1) < 1e-6 * size] += np.array([0.0, 0.0, 1e-3]) * size
+    used = mesh.weights.max(0) > 0.01  # also where the file says so: a bone that moves next to nothing teaches nothing
+    return replace(mesh, skeleton=Skeleton(old.names, old.parents, old.heads, tails), used=used, clip=None)
 
 
 def only_used(skeleton: Skeleton, weights: Array, used: Array) -> tuple[Skeleton, Array]:
@@ -73,7 +47,7 @@ def only_used(skeleton: Skeleton, weights: Array, used: Array) -> tuple[Skeleton
     return skeleton.subset(used), weights[:, used]
 
 
-def cover(mesh: Mesh, rng: np.random.Generator) -> Subject:
+def cover(mesh: RiggedMesh, rng: np.random.Generator) -> Subject:
     """The mesh stretched, turned and covered with splats as a capture or a generator might."""
     scale = np.exp(rng.normal(0, 0.12, 3)) if rng.random() < 0.5 else np.ones(3)
     turn = axis_angle_to_matrix(np.array([[0.0, 0.0, 1.0]]), rng.uniform(-np.pi, np.pi, 1))[0]

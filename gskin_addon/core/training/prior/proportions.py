@@ -16,7 +16,7 @@ from ...rig.kinematics import joints_posed
 from ...rig.poses import random_axes
 from ...rig.quaternion import axis_angle_to_matrix
 from ...rig.skeleton import Skeleton
-from .examples import Mesh
+from ..rigged import RiggedMesh
 
 Array = NDArray[Any]
 
@@ -24,7 +24,7 @@ STRETCH, GIRTH, BEND = 0.25, 0.18, 14.0
 """Deviations of the logarithm of a bone's length and of its flesh's width, and of a joint's angle in degrees."""
 
 
-def reshape(mesh: Mesh, rng: np.random.Generator) -> Mesh:
+def reshape(mesh: RiggedMesh, rng: np.random.Generator) -> RiggedMesh:
     """The mesh with each bone stretched, its flesh made wider or thinner, and its joint bent, all at random."""
     count = mesh.skeleton.count
     strength = rng.random(3)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import zlib
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -12,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...errors import InputError
+from ...files import read_arrays, write_arrays
 from ...rig.kinematics import pose_transforms
 from ...rig.lbs import skin_points
 from ...rig.poses import random_axes, random_poses
@@ -19,8 +20,9 @@ from ...rig.skeleton import Skeleton
 from ...skinning.learned.describe import look_at
 from ...skinning.learned.features import NAMES
 from ...skinning.learned.parts import neighbourhoods
+from ..rigged import RiggedMesh
 from . import creatures
-from .examples import Mesh, Subject, cover, disturb, only_used, read_mesh_asset
+from .examples import Subject, cover, disturb, only_used, read_mesh_asset
 from .proportions import reshape
 
 Array = NDArray[Any]
@@ -56,18 +58,22 @@ class Lesson:
 
     def save(self, path: Path) -> None:
         """Write all at once, so that a killed run leaves no half file."""
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.npz")
-        np.savez(temporary, version=VERSION, names=np.array(NAMES), **vars(self))
-        os.replace(temporary, path)
+        columns = {name: np.asarray(value) for name, value in vars(self).items()}
+        write_arrays(path, {"version": np.array(VERSION), "names": np.array(NAMES), **columns})
 
     @classmethod
     def load(cls, path: Path) -> Lesson:
-        """KeyError or ValueError for a file of another version."""
-        with np.load(path) as data:
-            if int(data["version"]) != VERSION or tuple(data["names"]) != NAMES:
-                raise ValueError(f"{path} has another version")
-            columns = {f.name: data[f.name] for f in fields(cls)}
-        return cls(**{**columns, "difficulty": float(columns["difficulty"])})
+        """Raises InputError for a file that is damaged or of another version."""
+        names = [f.name for f in fields(cls)]
+        try:
+            columns = read_arrays(path, ["version", "names", *names])
+        except (OSError, ValueError) as error:
+            raise InputError(f"The lesson '{path}' cannot be read ({error}); delete it to have it made anew.") from None
+        version, features = columns.pop("version"), columns.pop("names")
+        if not _is_ours(version, features):
+            raise InputError(f"The lesson '{path}' has another version; delete it to have it made anew.")
+        difficulty = float(columns.pop("difficulty"))
+        return cls(**columns, difficulty=difficulty)
 
     def skeleton(self) -> Skeleton:
         """The bones, for poses; their tails are of no importance there."""
@@ -137,7 +143,7 @@ def asset_lesson(npz: Path, name: str, variant: int, cache: Path) -> Path:
     return path
 
 
-def _plain(mesh: Mesh, rng: np.random.Generator) -> Subject:
+def _plain(mesh: RiggedMesh, rng: np.random.Generator) -> Subject:
     skeleton, weights = only_used(mesh.skeleton, mesh.weights, mesh.used)
     from ...splats.from_mesh import sample_mesh
 
@@ -159,5 +165,12 @@ def creature_lesson(seed: int, cache: Path) -> Path:
 def _current(path: Path) -> bool:
     if not path.is_file():
         return False
-    with np.load(path) as data:
-        return int(data["version"]) == VERSION and tuple(data["names"]) == NAMES
+    try:
+        head = read_arrays(path, ["version", "names"])
+    except (OSError, ValueError):
+        return False  # half a file, or one of somebody else: made anew
+    return _is_ours(head["version"], head["names"])
+
+
+def _is_ours(version: Array, features: Array) -> bool:
+    return bool(np.array_equal(version, VERSION) and np.array_equal(features, np.array(NAMES)))

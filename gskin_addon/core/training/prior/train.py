@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
 import signal
 import threading
 from collections.abc import Iterator, Sequence
@@ -18,12 +17,14 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from ...errors import InputError
+from ...checkpoint import load_checkpoint, save_checkpoint
+from ...errors import InputError, first_line
 from ...skinning.learned.features import NAMES, PRIOR
-from ...skinning.learned.network import Answer, Batch, PriorNetwork, Shape, make_batch
+from ...skinning.learned.network import Shape
 from ...skinning.learned.tree import BONE_FEATURES
 from .muon import Muon
 from .samples import Lesson, posed_lesson
+from .torch_network import Answer, Batch, PriorNetwork, make_batch
 
 CREATURES = "made by gskin"
 """The family of the generated creatures."""
@@ -242,26 +243,31 @@ class Trainer:
             "losses": self.losses,
             "random": self._random,
         }
-        temporary = path.with_name(f".{path.name}.{os.getpid()}")
-        torch.save(state, temporary)
-        os.replace(temporary, path)
+        save_checkpoint(path, state)
 
     def restore(self, path: Path) -> None:
         """Go on from a checkpoint.
 
         Raises:
-            InputError: it belongs to another schedule, version or choice of families.
+            InputError: it cannot be read, is of an older gskin, or belongs to another schedule, version or choice of
+                families.
         """
-        state = torch.load(path, weights_only=False)  # our own file, beside the model that it becomes
+        state = load_checkpoint(path)
         same = (
-            state["schedule"] == vars(self.schedule)
-            and tuple(state["features"]) == NAMES
-            and state["families"] == sorted(self.syllabus.files)
+            state.get("schedule") == vars(self.schedule)
+            and state.get("features") == NAMES
+            and state.get("families") == sorted(self.syllabus.files)
         )
         if not same:
             raise InputError(f"'{path}' was left by a training with other settings; delete it to start anew.")
-        self.network.load_state_dict(state["network"])
-        self._mean = state["mean"]
-        for (optimiser, _), kept in zip(self._optimisers, state["optimisers"], strict=True):
-            optimiser.load_state_dict(kept)
-        self.step_number, self.losses, self._random = state["step"], state["losses"], state["random"]
+        try:
+            self.network.load_state_dict(state["network"])
+            self.result().load_state_dict(state["mean"])
+            self._mean = state["mean"]
+            for (optimiser, _), kept in zip(self._optimisers, state["optimisers"], strict=True):
+                optimiser.load_state_dict(kept)
+            self.step_number, self.losses = int(state["step"]), [float(loss) for loss in state["losses"]]
+            torch.set_rng_state(state["random"])
+            self._random = state["random"]
+        except (AttributeError, KeyError, TypeError, ValueError, RuntimeError) as error:
+            raise InputError(f"'{path}' does not fit this training ({first_line(error)}); delete it.") from error

@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gskin_addon.core.errors import Cancelled
 from gskin_addon.core.rig.kinematics import pose_transforms
 from gskin_addon.core.rig.lbs import skin_points
 from gskin_addon.core.rig.poses import random_axes, random_poses
 from gskin_addon.core.rig.skeleton import Skeleton
-from gskin_addon.core.skinning.initial import initial_weights_geodesic
+from gskin_addon.core.skinning.initial import initial_weights_geodesic, initial_with_confidence
 from gskin_addon.core.skinning.learned import predict
 from gskin_addon.core.skinning.learned.predict import learned_weights
 from gskin_addon.core.splats.cloud import SplatCloud
@@ -120,6 +121,28 @@ def test_two_splats_are_a_body():
     limb = make_limb(600)
     pair = limb.cloud.select(np.array([5, 400]))
     check(*learned_weights(pair, limb.skeleton), pair, limb.skeleton)
+
+
+@pytest.mark.parametrize("name", ["learned", "heat", "geodesic"])
+def test_the_work_tells_how_far_it_is_and_can_be_stopped(name):
+    limb = make_limb(8000)
+    told: list[float] = []
+
+    def weights(tick):
+        return initial_with_confidence(name, limb.cloud, limb.skeleton, np.zeros((0, 4, 4), bool), [], tick=tick)[0]
+
+    np.testing.assert_array_equal(weights(told.append), weights(lambda done: None))
+    assert told == sorted(told)
+    assert min(told) >= 0
+    assert max(told) <= 1
+    for stop in (0.0, 0.3, 0.7):
+
+        def tick(done, stop=stop):
+            if done >= stop:
+                raise Cancelled
+
+        with pytest.raises(Cancelled):
+            weights(tick)
 
 
 @pytest.mark.parametrize("name", ["learned"])

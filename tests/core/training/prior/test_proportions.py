@@ -8,8 +8,8 @@ import numpy as np
 from gskin_addon.core.rig.kinematics import pose_transforms
 from gskin_addon.core.rig.quaternion import axis_angle_to_matrix
 from gskin_addon.core.rig.skeleton import Skeleton
-from gskin_addon.core.training.prior.examples import Mesh
 from gskin_addon.core.training.prior.proportions import reshape, shape_transforms
+from gskin_addon.core.training.rigged import RiggedMesh
 
 ARM = Skeleton(
     ("upper", "fore", "hand", "other"), np.array([-1, 0, 1, 0]),
@@ -50,7 +50,7 @@ def test_reshaped_flesh_follows_its_bones_and_keeps_its_weights():
     verts = ARM.heads[bone] + along[:, None] * (ARM.tails - ARM.heads)[bone]  # on the bones
     loose = np.array([[9.0, 9, 9]])
     weights = np.concatenate([np.eye(4, dtype=np.float32)[bone], np.zeros((1, 4), np.float32)])
-    mesh = Mesh(
+    mesh = RiggedMesh(
         np.concatenate([verts, loose]), np.zeros((0, 3), int), np.zeros((0, 3, 3)), weights, ARM, np.ones(4, bool)
     )
     shapes = [reshape(mesh, np.random.default_rng(seed)) for seed in range(5)]

@@ -8,15 +8,16 @@ import signal
 import numpy as np
 import pytest
 import torch
+from patience import interrupts
 
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.rig.bone_roles import ROLES, bone_roles
 from gskin_addon.core.rig.lbs import skin_points
 from gskin_addon.core.rig.skeleton import Skeleton
-from gskin_addon.core.skinning.learned.network import make_batch
 from gskin_addon.core.training.prior import creatures, rig_changes
 from gskin_addon.core.training.prior.capsules import Plan, cover_with_splats
 from gskin_addon.core.training.prior.samples import Lesson, make_lesson, posed_lesson
+from gskin_addon.core.training.prior.torch_network import make_batch
 from gskin_addon.core.training.prior.train import (
     FORGOTTEN,
     NAMELESS,
@@ -223,7 +224,7 @@ def test_an_interrupt_never_leaves_half_a_step(syllabus, monkeypatch):
         return update(*arguments)
 
     monkeypatch.setattr(first, "step", interrupted)
-    with pytest.raises(KeyboardInterrupt):
+    with interrupts(), pytest.raises(KeyboardInterrupt):
         trainer.step()
     assert trainer.step_number == len(trainer.losses) == 1
     assert trainer._optimisers[1][0].state

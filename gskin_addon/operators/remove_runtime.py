@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Remove the learning runtime from the disk, after a question."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..core.errors import GSkinError
+from ..session import learning_runtime
+from ..session.preferences import runtime_folder
+
+
+class GSKIN_OT_remove_runtime(bpy.types.Operator):
+    """Delete the learning runtime's folder; pip keeps what it fetched in its own cache"""
+
+    bl_idname = "gskin.remove_runtime"
+    bl_label = "Remove the Learning Runtime"
+    bl_options = {"INTERNAL"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        try:
+            learning_runtime.check_idle()
+        except GSkinError as error:
+            cls.poll_message_set(str(error))
+            return False
+        return learning_runtime.status(context).state != "missing"
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        return context.window_manager.invoke_confirm(  # type: ignore[return-value]
+            self, event, message=f"Delete '{runtime_folder(context)}'?", confirm_text="Delete", icon="WARNING"
+        )
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            self.report({"INFO"}, learning_runtime.remove(context))
+        except GSkinError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+CLASSES = (GSKIN_OT_remove_runtime,)

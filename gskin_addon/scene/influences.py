@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The strongest bones of every splat: found in weights, stored as attributes for the nodes that turn the splats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.rig.lbs import few_influences, top_influences
+from . import names
+from .attributes import read_attribute, write_attribute
+from .steps import SLICE
+
+Array = NDArray[Any]
+
+CELLS = 500_000
+"""Weights, of all bones, that one slice sorts."""
+
+
+def slice_rows(bones: int) -> int:
+    """Splats of one slice that handles all their weights: fewer where there are many bones."""
+    return max(1, min(SLICE, CELLS // max(1, bones)))
+
+
+def strongest(rows: Array, k: int) -> tuple[Array, Array]:
+    """Index and weight (N, k) of the strongest bones of weights (N, B); of two equal ones the first bone first.
+
+    Weights that the pipeline has made sparse are not sorted again.
+    """
+    few = few_influences(rows, k)
+    if few is not None:
+        return few
+    index, value = top_influences(rows, k)
+    order = np.lexsort((index, -value), axis=1)
+    return np.take_along_axis(index, order, axis=1), np.take_along_axis(value, order, axis=1)
+
+
+def columns_of(index: Array, value: Array) -> Callable[[int], Array]:
+    """Function of a bone that gives its weights (N,) from influences index (N, k), value (N, k)."""
+    count, width = index.shape
+    index, value = np.ravel(index), np.ravel(value)
+
+    def column(bone: int) -> Array:
+        places = np.flatnonzero(index == bone)
+        places = places[value[places] > 0]  # an empty slot may name any bone
+        weights = np.zeros(count, dtype=np.float32)
+        weights[places // width] = value[places]
+        return weights
+
+    return column
+
+
+def write_influences(
+    obj: bpy.types.Object, order: Sequence[str], bones: Sequence[str], index: Array, value: Array
+) -> None:
+    """Store the strongest bones of every splat, by their place in the frames' bones `order`, for the nodes."""
+    known = {name: place for place, name in enumerate(order)}
+    place = np.array([known.get(name, -1) for name in bones], dtype=np.int32)
+    slots = names.INFLUENCES
+    bone = np.full((slots, len(index)), -1, dtype=np.int32)
+    weight = np.zeros((slots, len(index)), dtype=np.float32)
+    width = min(slots, index.shape[1])
+    bone[:width], weight[:width] = place[index[:, :width].T], value[:, :width].T
+    bone[weight <= 0] = -1
+    # A splat without bones stays put: index -1 samples the identity, and it needs a weight to be seen.
+    weight[0] = np.where(weight.sum(axis=0) > 0, weight[0], 1.0)
+    for slot in range(slots):
+        write_attribute(obj.data, names.BONE.format(slot), "INT", bone[slot])
+        write_attribute(obj.data, names.WEIGHT.format(slot), "FLOAT", weight[slot])
+    obj.data.update()
+
+
+def splats_without_bones(obj: bpy.types.Object) -> int:
+    """Number of splats that no bone turns, as last written or taken over from the vertex groups."""
+    strongest = read_attribute(obj.data, names.BONE.format(0))
+    return len(obj.data.vertices) if strongest is None else int((strongest < 0).sum())
