@@ -43,7 +43,7 @@ class GSKIN_OT_select_unsure_splats(bpy.types.Operator):
             unsure = read_attribute(obj.data, names.CONFIDENCE) < self.below
             show_selected(context, obj, unsure)
         except GSkinError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
         self.report({"INFO"}, f"{unsure.sum():,} of {len(unsure):,} splats are less sure than {self.below:.2f}")
         return {"FINISHED"}

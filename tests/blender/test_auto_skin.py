@@ -126,6 +126,7 @@ def test_poll_says_what_is_missing(scene, monkeypatch, tmp_path):
     assert "nothing" in what_is_missing(context)
     preferences._found.clear()
     monkeypatch.setattr(preferences, "find_worker_python", lambda preference: None)
+    scene.gskin.guidance = "elastic"  # the default needs no torch
     assert "No Python with torch" in what_is_missing(context)
 
 
@@ -350,7 +351,8 @@ def test_too_few_splats(scene):
 
 def test_armature_that_lies_along_another_axis(scene):
     armature = add_armature((("a", (0, 0, 0), (0, -1, 0)), ("b", (0, -1, 0), (0, -2, 0))))
-    start_fails("'Rig' does not overlap 'Rod'.*--ply-up", add_rod(), armature)
+    start_fails("'Rig' does not overlap 'Rod'.*Up set to -?Y", add_rod(), armature)
+    assert "--" not in running_job.state.outcome
 
 
 def test_armature_elsewhere(scene):
@@ -372,6 +374,7 @@ def test_interpreter_without_torch(scene, tmp_path, monkeypatch):
     preferences._found.clear()
     monkeypatch.setattr(skin_job, "WorkerClient", WorkerClient)  # the real program
     start_fails(r"lacks .*pip install", add_rod(), add_armature())
+    assert "GSKIN_PYTHON" not in running_job.state.outcome
 
 
 def test_disk_full(scene, monkeypatch):

@@ -10,59 +10,26 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
 from ..checkpoint import load_checkpoint, save_checkpoint
 from ..errors import InputError, first_line
 from ..files import remove_leftovers
 from ..guidance.control import ControlSignal
-from ..skinning.optimise import PRUNE_FROM, Optimiser, look_schedule
+from ..skinning.optimise import Optimiser
 from ..skinning.presets import Preset
 from ..skinning.views import Target
 from .eta import Eta
+from .work import checks_of, guided_kinds, learn_at, look_at
 
-CHECKS = 10
-"""Looks at the held-out poses in a run."""
+__all__ = ["guided_kinds", "make_guidance", "optimise", "try_out"]
+
 TRIALS = 3
 """Iterations that are timed before anything is learned, at each size: one alone may be a fifth off."""
 STATE, OLD_STATE = "optimiser.safetensors", "optimiser.pt"
 CHECKPOINT_SECONDS = 5.0
 # The weight volume's state has 450 MB: writing it may take this part of the time.
 CHECKPOINT_SHARE = 0.1
-
-
-def guided_kinds(preset: Preset, views: int, splats: int, bones: int) -> dict[str, tuple[int, float]]:
-    """The kinds of work of learning from guidance images, with how many pieces of each and guessed seconds; measured on
-    two cores."""
-    size = splats / 50_000
-    images = views * preset.poses_per_view
-    looks = look_schedule(preset, images) if splats >= PRUNE_FROM else ()
-    wanted = images + views * preset.held_out
-    kinds = {"distances": (1, 0.5 * size), "first image": (1, 0.2 + size)}
-    kinds |= {"guidance": (wanted - 1, 0.042 * (0.8 + size))}
-    for size_px, stage in preset.ranges():
-        pixels = (size_px / 512) ** 2
-        guess = preset.batch * 0.02 * (0.3 + pixels) * (0.3 + size) * (0.6 + bones / 50)
-        pieces = kinds.get(_learn(size_px), (0, 0.0))[0] + len(stage)
-        kinds[_learn(size_px)] = (pieces, guess)
-        pieces = kinds.get(_look(size_px), (0, 0.0))[0] + sum(at in stage for at in looks)
-        kinds[_look(size_px)] = (pieces, images * 0.008 * size)
-    kinds["check"] = (len(_check_at(preset)) if preset.held_out else 0, views * preset.held_out * 0.02 * size)
-    return kinds
-
-
-def _learn(size: int) -> str:
-    return f"learn at {size}"
-
-
-def _look(size: int) -> str:
-    return f"look at {size}"
-
-
-def _check_at(preset: Preset) -> frozenset[int]:
-    """The iterations after which the held-out poses are looked at: about every tenth of the run, and the end."""
-    return frozenset(np.linspace(0, preset.iterations, CHECKS + 1).round().astype(int)[1:].tolist())
 
 
 def _first_visits(preset: Preset, images: int) -> frozenset[int]:
@@ -83,10 +50,10 @@ def try_out(optimiser: Optimiser, eta: Eta, images: int) -> None:
         eta.forget()
         if optimiser.looks:
             optimiser.look(size)
-            eta.tried(_look(size), 1 / scale)
+            eta.tried(look_at(size), 1 / scale)
         for _ in range(TRIALS):
             optimiser.try_out(size)
-            eta.tried(_learn(size))
+            eta.tried(learn_at(size))
 
 
 def make_guidance(provider: Any, signals: Sequence[ControlSignal], eta: Eta) -> list[Target]:
@@ -107,7 +74,7 @@ def optimise(optimiser: Optimiser, eta: Eta, checkpoint: Path) -> list[dict[str,
     if remark:
         eta.tell("optimise", remark)
     _skip_done(optimiser, eta)
-    checks, every = _check_at(optimiser.preset), max(1, iterations // 50)
+    checks, every = checks_of(optimiser.preset), max(1, iterations // 50)
     slow = _first_visits(optimiser.preset, len(optimiser.targets))
     saved, cost = time.monotonic(), 0.0
     eta.forget()
@@ -115,13 +82,13 @@ def optimise(optimiser: Optimiser, eta: Eta, checkpoint: Path) -> list[dict[str,
         number, size = optimiser.iteration, optimiser.size_now()
         if optimiser.must_look:
             optimiser.look()
-            eta.did(_look(size))
+            eta.did(look_at(size))
         parts = optimiser.step()
         if number in slow:
-            eta.skip(_learn(size), 1)
+            eta.skip(learn_at(size), 1)
             eta.forget()
         else:
-            eta.did(_learn(size))
+            eta.did(learn_at(size))
         if number % every == 0 or number == iterations - 1:
             history.append({"iteration": number, **parts})
         if optimiser.iteration in checks and optimiser.check() is not None:
@@ -143,10 +110,10 @@ def _skip_done(optimiser: Optimiser, eta: Eta) -> None:
     for number in range(reached):
         optimiser.iteration = number
         size = optimiser.size_now()
-        eta.skip(_learn(size), 1)
+        eta.skip(learn_at(size), 1)
         if number in optimiser.looks:
-            eta.skip(_look(size), 1)
-        if number + 1 in _check_at(optimiser.preset):
+            eta.skip(look_at(size), 1)
+        if number + 1 in checks_of(optimiser.preset):
             eta.skip("check", 1)
     optimiser.iteration = reached
 

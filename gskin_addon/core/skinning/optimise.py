@@ -18,6 +18,7 @@ from .arap import arap_loss
 from .coupling import coupling_loss, prepare_coupling
 from .device_renderer import DeviceRenderer, tensor_device
 from .fields.base import WeightField
+from .looks import PRUNE_FROM, look_schedule
 from .losses import LossWeights
 from .posers import Poser, SplatPoser
 from .presets import Preset
@@ -27,18 +28,7 @@ from .views import GuidanceViews, Target
 
 __all__ = ["LossWeights", "Optimiser", "Target"]
 
-LOOK_EPOCHS = 4
-"""What a view sees is found anew after the images were gone through so many times, and at each new size."""
-PRUNE_FROM = 15_000
-"""Splats from which on looking costs less than it saves."""
-
 DEFAULT_LOSSES = LossWeights()
-
-
-def look_schedule(preset: Preset, images: int) -> frozenset[int]:
-    """The iterations before which the views find out what they see."""
-    every = max(1, round(LOOK_EPOCHS * images / max(1, min(preset.batch, images))))
-    return frozenset(look for _, stage in preset.ranges() for look in stage[::every])
 
 
 class Optimiser:
