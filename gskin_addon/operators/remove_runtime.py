@@ -22,7 +22,7 @@ class GSKIN_OT_remove_runtime(bpy.types.Operator):
         try:
             learning_runtime.check_idle()
         except GSkinError as error:
-            cls.poll_message_set(str(error))
+            cls.poll_message_set(error.plain)
             return False
         return learning_runtime.status(context).state != "missing"
 
@@ -36,7 +36,7 @@ class GSKIN_OT_remove_runtime(bpy.types.Operator):
             learning_runtime.remove(context)
             return self._finish()
         except GSkinError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
 
     def _finish(self) -> set[str]:

@@ -363,7 +363,8 @@ def test_too_few_splats(scene):
 
 def test_armature_that_lies_along_another_axis(scene):
     armature = add_armature((("a", (0, 0, 0), (0, -1, 0)), ("b", (0, -1, 0), (0, -2, 0))))
-    start_fails("'Rig' does not overlap 'Rod'.*--ply-up", add_rod(), armature)
+    start_fails("'Rig' does not overlap 'Rod'.*Up set to -?Y", add_rod(), armature)
+    assert "--" not in running_job.state.outcome
 
 
 def test_armature_elsewhere(scene):
@@ -385,6 +386,7 @@ def test_interpreter_without_torch(scene, tmp_path, monkeypatch):
     preferences._found.clear()
     monkeypatch.setattr(skin_job, "WorkerClient", WorkerClient)  # the real program
     start_fails(r"lacks .*pip install", add_rod(), add_armature())
+    assert "GSKIN_PYTHON" not in running_job.state.outcome
 
 
 def test_disk_full(scene, monkeypatch):

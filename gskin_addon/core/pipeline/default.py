@@ -17,15 +17,12 @@ from .steps import (
     prepare_splats,
     weight_change,
 )
+from .work_kinds import default_kinds
 
 
 def run(job: JobInputs, report: Report) -> SkinResult:
     """Weights of all splats from their initial weights alone. Raises Cancelled where `report` does."""
-    size = job.cloud.count / 50_000
-    eta = Eta(
-        report,
-        {"splats": (1, 0.06 * size), "initial": (1, 2.0 + 0.8 * size), "finish": (1, 0.2 * size)},
-    )
+    eta = Eta(report, default_kinds(job.cloud.count))
     eta.report("initial", "Preparing the splats")
     splats = prepare_splats(job)
     masks, cameras = None, []

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..guidance import NO_GUIDANCE, create_provider
+from ..guidance import create_provider
 from ..guidance.control import ControlSignal, make_signals
 from ..guidance.provider import GuidanceContext, to_bytes
 from ..render.backends import choose_backend
@@ -27,9 +27,10 @@ from ..skinning.presets import Preset, preset_by_name
 from ..skinning.subset import SplatSubset
 from ..skinning.views import Target
 from .eta import Eta
-from .optimise_loop import guided_kinds, make_guidance, optimise, try_out
+from .optimise_loop import make_guidance, optimise, try_out
 from .proxy import Proxy
 from .steps import JobInputs
+from .work_kinds import rendering_kinds
 
 TRIAL_POSES = 8
 """Poses of each view in a try-out. A view renders what it sees in any of them: with 6 the try-outs of `paper` took
@@ -54,12 +55,8 @@ class Learned:
 
 def work_kinds(job: JobInputs, splats: int) -> dict[str, tuple[int, float]]:
     """The kinds of work of a job on `splats` splats that renders; see `Eta`."""
-    size = splats / 50_000
-    kinds = {"splats": (1, 0.06 * size), "initial": (1, 0.3 + 0.8 * size)}
-    if job.settings.guidance != NO_GUIDANCE:
-        preset = preset_by_name(job.settings.preset)
-        kinds |= guided_kinds(preset, len(PAPER_AZIMUTHS), splats, job.skeleton.count)
-    return kinds | {"finish": (1, 0.8 * size)}
+    chosen = job.settings
+    return rendering_kinds(chosen.guidance, chosen.preset, len(PAPER_AZIMUTHS), splats, job.skeleton.count)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,59 +10,24 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
 from ..checkpoint import load_checkpoint, save_checkpoint
 from ..errors import InputError, first_line
 from ..files import remove_leftovers
 from ..guidance.control import ControlSignal
-from ..skinning.optimise import PRUNE_FROM, Optimiser, visibility_schedule
+from ..skinning.optimise import Optimiser
 from ..skinning.presets import Preset
 from ..skinning.views import Target
 from .eta import Eta
+from .work_kinds import checks_of, learning_kind, visibility_kind
 
-CHECKS = 10
-"""Checks on the held-out poses in a run."""
 TRIALS = 3
 """Iterations timed at each size before anything is learned: a single one may be off by a fifth."""
 STATE, OLD_STATE = "optimiser.safetensors", "optimiser.pt"
 CHECKPOINT_SECONDS = 5.0
 # The weight volume's state has 450 MB: writing it may take up to this share of the time.
 CHECKPOINT_SHARE = 0.1
-
-
-def guided_kinds(preset: Preset, views: int, splats: int, bones: int) -> dict[str, tuple[int, float]]:
-    """The kinds of work in learning from guidance images: how many pieces of each, and estimated seconds per piece,
-    measured on two cores."""
-    size = splats / 50_000
-    images = views * preset.poses_per_view
-    updates = visibility_schedule(preset, images) if splats >= PRUNE_FROM else ()
-    wanted = images + views * preset.held_out
-    kinds = {"distances": (1, 0.5 * size), "first image": (1, 0.2 + size)}
-    kinds |= {"guidance": (wanted - 1, 0.042 * (0.8 + size))}
-    for size_px, stage in preset.ranges():
-        pixels = (size_px / 512) ** 2
-        guess = preset.batch * 0.02 * (0.3 + pixels) * (0.3 + size) * (0.6 + bones / 50)
-        pieces = kinds.get(_learning_kind(size_px), (0, 0.0))[0] + len(stage)
-        kinds[_learning_kind(size_px)] = (pieces, guess)
-        pieces = kinds.get(_visibility_kind(size_px), (0, 0.0))[0] + sum(at in stage for at in updates)
-        kinds[_visibility_kind(size_px)] = (pieces, images * 0.008 * size)
-    kinds["check"] = (len(_check_at(preset)) if preset.held_out else 0, views * preset.held_out * 0.02 * size)
-    return kinds
-
-
-def _learning_kind(size: int) -> str:
-    return f"learn at {size}"
-
-
-def _visibility_kind(size: int) -> str:
-    return f"visibility at {size}"
-
-
-def _check_at(preset: Preset) -> frozenset[int]:
-    """The iterations after which the held-out poses are checked: after every tenth of the run."""
-    return frozenset(np.linspace(0, preset.iterations, CHECKS + 1).round().astype(int)[1:].tolist())
 
 
 def _first_visits(preset: Preset, images: int) -> frozenset[int]:
@@ -83,10 +48,10 @@ def try_out(optimiser: Optimiser, eta: Eta, images: int) -> None:
         eta.forget()
         if optimiser.visibility_updates:
             optimiser.update_visible(size)
-            eta.record_trial(_visibility_kind(size), 1 / scale)
+            eta.record_trial(visibility_kind(size), 1 / scale)
         for _ in range(TRIALS):
             optimiser.try_out(size)
-            eta.record_trial(_learning_kind(size))
+            eta.record_trial(learning_kind(size))
 
 
 def make_guidance(provider: Any, signals: Sequence[ControlSignal], eta: Eta) -> list[Target]:
@@ -107,7 +72,7 @@ def optimise(optimiser: Optimiser, eta: Eta, checkpoint: Path) -> list[dict[str,
     if remark:
         eta.report("optimise", remark)
     _skip_done(optimiser, eta)
-    checks, every = _check_at(optimiser.preset), max(1, iterations // 50)
+    checks, every = checks_of(optimiser.preset), max(1, iterations // 50)
     slow = _first_visits(optimiser.preset, len(optimiser.targets))
     saved, cost = time.monotonic(), 0.0
     eta.forget()
@@ -115,13 +80,13 @@ def optimise(optimiser: Optimiser, eta: Eta, checkpoint: Path) -> list[dict[str,
         number, size = optimiser.iteration, optimiser.size_now()
         if optimiser.must_update_visible:
             optimiser.update_visible()
-            eta.record(_visibility_kind(size))
+            eta.record(visibility_kind(size))
         parts = optimiser.step()
         if number in slow:
-            eta.skip(_learning_kind(size), 1)
+            eta.skip(learning_kind(size), 1)
             eta.forget()
         else:
-            eta.record(_learning_kind(size))
+            eta.record(learning_kind(size))
         if number % every == 0 or number == iterations - 1:
             history.append({"iteration": number, **parts})
         if optimiser.iteration in checks and optimiser.check() is not None:
@@ -143,10 +108,10 @@ def _skip_done(optimiser: Optimiser, eta: Eta) -> None:
     for number in range(reached):
         optimiser.iteration = number
         size = optimiser.size_now()
-        eta.skip(_learning_kind(size), 1)
+        eta.skip(learning_kind(size), 1)
         if number in optimiser.visibility_updates:
-            eta.skip(_visibility_kind(size), 1)
-        if number + 1 in _check_at(optimiser.preset):
+            eta.skip(visibility_kind(size), 1)
+        if number + 1 in checks_of(optimiser.preset):
             eta.skip("check", 1)
     optimiser.iteration = reached
 

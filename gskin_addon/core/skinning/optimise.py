@@ -24,21 +24,11 @@ from .presets import Preset
 from .prior_loss import PriorLoss
 from .stopping import EarlyStop
 from .views import GuidanceViews, Target
+from .visibility_schedule import PRUNE_FROM, visibility_schedule
 
 __all__ = ["LossWeights", "Optimiser", "Target"]
 
-VISIBILITY_EPOCHS = 4
-"""The splats that a view sees are determined again after this many passes over the images, and at each new size."""
-PRUNE_FROM = 15_000
-"""From this many splats on, finding the visible ones costs less than it saves."""
-
 DEFAULT_LOSSES = LossWeights()
-
-
-def visibility_schedule(preset: Preset, images: int) -> frozenset[int]:
-    """The iterations before which the views determine their visible splats."""
-    every = max(1, round(VISIBILITY_EPOCHS * images / max(1, min(preset.batch, images))))
-    return frozenset(start for _, stage in preset.ranges() for start in stage[::every])
 
 
 class Optimiser:
