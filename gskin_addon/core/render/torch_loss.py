@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The image loss of photometric.py as torch operations, for rasterisers that live in torch on a GPU."""
+"""The image loss of photometric.py as torch operations, for rasterisers on a GPU in torch."""
 
 from __future__ import annotations
 
