@@ -21,7 +21,7 @@ from ..core.splats.axes import rotate_cloud, up_rotation
 from ..core.splats.cloud import SH_C0, SplatCloud
 from ..core.splats.ply import write_ply
 from ..core.worker.interpreter import find_worker_python, worker_environment
-from .console import say
+from .console import print_message
 from .paths import check_output
 from .pose import open_posed
 from .rig import read_splats
@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> None:
                 draw(cloud, options)
             else:
                 _draw_elsewhere(cloud, options)
-    say(f"'{options.out}' is drawn.")
+    print_message(f"'{options.out}' is drawn.")
 
 
 def draw(cloud: SplatCloud, options: argparse.Namespace) -> None:

@@ -27,7 +27,7 @@ from ..core.splats.cloud import SplatCloud
 from ..core.splats.ply import read_ply
 from ..core.worker.own_python import job_python
 from .blender import require_bpy
-from .console import say
+from .console import print_message
 from .paths import check_output, same_file
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def run(options: argparse.Namespace) -> None:
     armature = rig_files.import_armature(options.armature, options.armature_name)
     up, assumed = resolve_up(options.ply_up, cloud, read_skeleton(armature))
     if assumed:
-        say(f"'{options.splats}': {assumed}.")
+        print_message(f"'{options.splats}': {assumed}.")
     splats = create_splat_object(rotate_cloud(cloud, up_rotation(up)), options.splats.stem)
     splats.data[names.MARK]["up"] = up
     proxy = None if mesh is None else create_mesh_object(options.mesh.stem, *mesh)
@@ -101,7 +101,7 @@ def run(options: argparse.Namespace) -> None:
                 shutil.copyfile(job.client.folder / WEIGHTS, temporary)
         sentence = job.apply()
         _save(options.out, splats)
-    say(f"{sentence}, in '{options.out}'.")
+    print_message(f"{sentence}, in '{options.out}'.")
 
 
 def read_splats(path: Path, drop_invalid: bool) -> SplatCloud:
@@ -113,7 +113,7 @@ def read_splats(path: Path, drop_invalid: bool) -> SplatCloud:
     splats = read_ply(path, drop_invalid=drop_invalid)
     dropped = splats.total - splats.cloud.count
     if dropped:
-        say(f"'{path}': {dropped:,} invalid splats of {splats.total:,} were left out.")
+        print_message(f"'{path}': {dropped:,} invalid splats of {splats.total:,} were left out.")
     return splats.cloud
 
 
@@ -128,11 +128,12 @@ def clean(cloud: SplatCloud, drop_strays: bool, max_aspect: float, balls: bool) 
     """The splats without what deforms badly; says how many were changed."""
     if drop_strays:
         strays, giants = find_strays(cloud), find_faint_giants(cloud)
-        say(f"{strays.sum():,} strays and {giants.sum():,} faint giants of {cloud.count:,} splats were left out.")
+        counts = f"{strays.sum():,} strays and {giants.sum():,} faint giants of {cloud.count:,} splats"
+        print_message(f"{counts} were left out.")
         cloud = cloud.select(~(strays | giants))
     if max_aspect:
         cloud, needles = clamp_aspect(cloud, max_aspect)
-        say(f"{needles.sum():,} needles of {cloud.count:,} splats were widened.")
+        print_message(f"{needles.sum():,} needles of {cloud.count:,} splats were widened.")
     return isotropic(cloud) if balls else cloud
 
 

@@ -14,7 +14,7 @@ from ..core.errors import InputError
 from ..core.job.progress import ProgressEvent
 from ..core.job.progress_text import ProgressPrinter
 from ..core.pipeline.eta import StageEta
-from .console import say
+from .console import print_message
 from .paths import check_output
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def run(options: argparse.Namespace) -> None:
         _train(options, sampling_plan, left, clock)
     finally:
         printer.close()
-    say(f"The model is in '{options.out}'.")
+    print_message(f"The model is in '{options.out}'.")
 
 
 def _train(options: argparse.Namespace, sampling_plan: SamplingPlan, left: tuple[str, ...], clock: _Clock) -> None:
@@ -102,7 +102,7 @@ def _finish(trainer: Trainer, checkpoint: Path, report: Callable[[str], None]) -
                 trainer.save(checkpoint)
                 saved = time.monotonic()
     except KeyboardInterrupt:
-        say(f"Stopped at step {trainer.step_number}; the same command goes on from '{checkpoint}'.")
+        print_message(f"Stopped at step {trainer.step_number}; the same command goes on from '{checkpoint}'.")
         raise
     finally:
         trainer.save(checkpoint)

@@ -85,7 +85,7 @@ def step_to_fit(points: Array, skeleton: Skeleton) -> Array:
     (low, high), (bottom, top) = box_of(points), bone_box(skeleton)
     step: Array = ((low + high) - (bottom + top)) / 2
     if top[2] - bottom[2] > 0.5 * (high[2] - low[2]):
-        step[2] = low[2] - bottom[2]
+        step[2:] = low[2:] - bottom[2:]
     return step
 
 

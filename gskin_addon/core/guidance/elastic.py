@@ -37,7 +37,7 @@ ITERATIONS = 3
 
 
 class ElasticBody:
-    """The splats as an elastic body that hangs on its bones.
+    """The splats as an elastic body that is held by its bones.
 
     Minimises over the nodes' positions x'
         sum_edges |(x'_i - x'_j) - R_i (x_i - x_j)|^2 + sum_i h_i |x'_i - P_b(i) x_i|^2,
@@ -55,7 +55,7 @@ class ElasticBody:
         one_way = sparse.coo_matrix((np.ones(len(a)), (a, b)), shape=(count, count))
         self._adjacency = (one_way + one_way.T).tocsr()
         degree = np.asarray(self._adjacency.sum(axis=1)).ravel()
-        # Poses are solved for again and again: factors pay, unlike for the heat itself.
+        # Many poses are solved with one matrix: factorising it pays, unlike for the heat.
         self._solver = splu((sparse.diags(degree + heat.handle_strength) - self._adjacency).tocsc())
 
     def pose(self, transforms: NDArray[Any]) -> Iterator[SplatCloud]:

@@ -61,7 +61,7 @@ def work_kinds(job: JobInputs, splats: int) -> dict[str, tuple[int, float]]:
 
 @dataclass(frozen=True, eq=False)
 class GuidedStage:
-    """What learning needs besides the splats: settings, losses, and what draws."""
+    """What learning needs besides the splats: settings, losses, rasteriser."""
 
     job: JobInputs
     eta: Eta
@@ -72,7 +72,7 @@ class GuidedStage:
 
     @classmethod
     def open(cls, job: JobInputs, eta: Eta) -> GuidedStage:
-        """Choose what draws. Raises InputError where it is not there."""
+        """Choose the rasteriser. Raises InputError if it cannot be used."""
         preset, losses = preset_by_name(job.settings.preset), LossWeights.parse(job.settings.losses)
         rasterizer, remark = choose_backend(job.settings.rasterizer)
         eta.report("initial", remark or "Preparing the splats")
@@ -81,8 +81,8 @@ class GuidedStage:
     def try_out_on_splats(
         self, subset: SplatSubset, skeleton: Skeleton, cameras: Sequence[Camera], images: Pictures, masks: Masks
     ) -> Poser:
-        """Find out at the very start what an iteration costs, with the paper's initial weights, which take no time;
-        returns the poser, for `learn`.
+        """Measure the cost of an iteration before anything else, with the paper's initial weights, which are quick to
+        compute; returns the poser, for `learn`.
 
         images, masks (V, H, W): the subset at rest from each of the cameras.
         """
@@ -99,7 +99,7 @@ class GuidedStage:
         images: Pictures,
         masks: Masks,
     ) -> Poser:
-        """As `try_out_on_splats`, with splats that hang on a mesh."""
+        """As `try_out_on_splats`, with splats anchored to a mesh."""
         rough, _ = proxy.initial("visibility", subset.cloud, skeleton, masks, cameras, {})
         poser = proxy.poser(subset, self.losses.arap_neighbours)
         return self._try_out(poser, rough, subset, skeleton, cameras, images)
@@ -170,7 +170,7 @@ class GuidedStage:
         return Learned(optimiser.weights(), signals, targets, report, weight_field.query)
 
     def report(self, splats: int) -> dict[str, Any]:
-        """What drew, and how many splats were learned on."""
+        """The rasteriser and the number of splats that were learned on."""
         return {"rasterizer": {"name": self.rasterizer, "remark": self.remark}, "splats_optimised": splats}
 
     def _field_name(self) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A job's proxy mesh: weights live on its vertices, the splats hang on its triangles."""
+"""A job's proxy mesh: its vertices have the weights, the splats are anchored to its triangles."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ class Proxy:
         return values / values.sum(axis=1, keepdims=True) if normalised else values
 
     def poser(self, subset: SplatSubset, neighbours: int = NEIGHBOURS) -> AnchoredPoser:
-        """What moves the splats that are optimised; neighbours: of each vertex, for ARAP."""
+        """The poser of the splats that are optimised; neighbours: of each vertex, for ARAP."""
         return AnchoredPoser(subset.cloud, self.anchors.select(subset.index), self.verts, self.faces, neighbours)
 
     def summary(self) -> dict[str, float]:

@@ -34,7 +34,7 @@ Weights = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class JobInputs:
-    """A job as the recipes take it.
+    """The inputs of a recipe.
 
     settings: checked; cloud, skeleton: in the world space of the job, any unit; folder: the job's, where files that
     its settings name lie; checkpoint: a folder inside it for what a stopped run needs to go on.
@@ -120,7 +120,7 @@ def rest_pictures(
 
 
 def learning_subset(job: JobInputs, splats: PreparedSplats, cameras: Sequence[Camera]) -> SplatSubset:
-    """The splats that stand for all in renders."""
+    """The splats that represent all of them in renders."""
     from ..skinning.subset import choose_subset
 
     def visible() -> NDArray[np.bool_]:
@@ -138,8 +138,8 @@ def initial_weights(
 ) -> tuple[Weights, NDArray[np.float32] | None]:
     """Initial weights (N, B) of all splats and their confidence (N,), where the method knows it.
 
-    masks (V, H, W): of the object in each camera; for methods that see (`needs_masks`). Splats that the job may not
-    change keep their present weights.
+    masks (V, H, W): of the object in each camera; for methods that need them (`needs_masks`). Splats that the job may
+    not change keep their present weights.
     """
     eta.report("initial", "Initial weights")
     if job.settings.init == PRESENT:
@@ -173,8 +173,8 @@ def keep_present(scope: Scope, weights: Weights) -> Weights:
 
 
 def finish_weights(job: JobInputs, splats: PreparedSplats, weights: Weights) -> Weights:
-    """Weights (N, B) as they leave the job: bad splats follow their nearest neighbour, the number of bones per splat is
-    limited, and what may not change has not."""
+    """The final weights (N, B) of a job: bad splats follow their nearest neighbour, the number of bones per splat is
+    limited, and splats that may not change have their present weights."""
     weights = follow_nearest(splats.cloud.means, weights, splats.ignored)
     if job.settings.max_influences:
         weights = sparsify(weights, job.settings.max_influences)

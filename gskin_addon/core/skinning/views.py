@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The guidance images as the optimiser compares with them: scenes per view, without the splats nobody sees."""
+"""Comparison of renders with the guidance images: one scene per view, without the hidden splats."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class GuidanceViews:
     def update_visible(self, pose: Callable[[NDArray[np.float64]], tuple[Array, Array]], size: int) -> None:
         """Find out again which splats each view sees in any of its poses.
 
-        pose: transforms (P, B, 4, 4) -> means (P, N, 3), quats (P, N, 4) with the present weights.
+        pose: transforms (P, B, 4, 4) -> means (P, N, 3), quats (P, N, 4) with the current weights.
         """
         size = min(size, VISIBILITY_SIZE)
         most = np.zeros((len(self.visible), self._cloud.count), np.float32)
@@ -118,7 +118,7 @@ class GuidanceViews:
         self._scenes = {key: scene for key, scene in self._scenes.items() if key[2]}
 
     def by_scene(self, batch: Sequence[int], size: int) -> list[Views]:
-        """The targets `batch` by the scene that they share; nothing is left out of it."""
+        """The targets `batch` by the scene that they share; with all splats, the hidden ones too."""
         found: dict[int, Views] = {}
         for slot, index in enumerate(batch):
             scene = self.scene(index, size, whole=True)
@@ -150,7 +150,7 @@ class GuidanceViews:
         return self._scenes[key]
 
     def _loss(self, index: int, size: int) -> PhotometricLoss:
-        """The loss of a guidance image, kept while `size` lasts."""
+        """The loss of a guidance image, cached while `size` stays the same."""
         key = (index, size)
         if key not in self._losses:
             self._losses = {k: loss for k, loss in self._losses.items() if k[1] == size}
@@ -163,7 +163,7 @@ class GuidanceViews:
 
 
 def shrink(image: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
-    """An image (H, H, 3) at `size` px, as blurred as a render of that size is.
+    """An image (H, H, 3) at `size` px, as blurred as a render of that size.
 
     Both renders add `DILATION` px^2 of their own pixels to every splat, so the smaller one is wider by the
     difference; an average over blocks would be sharper than it, and learning from that is biased.

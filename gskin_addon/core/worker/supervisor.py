@@ -2,7 +2,7 @@
 """The worker's outer process: starts the computing one, passes its lines on, ends it. Standard library only.
 
 A long numba or BLAS call holds Python's lock, so the computing process itself cannot notice a closed pipe, a
-signal or its parent's death in time. This one does nothing else and always can; it also has a last word when
+signal or its parent's death in time. This process does nothing else and always can; it also sends the last line when
 the other is killed or crashes.
 """
 
@@ -24,7 +24,7 @@ from ..job.progress import CancelFlag
 from . import parent_watch
 
 GRACE = 0.5
-"""Seconds that the computing process gets to end by itself after a cancel."""
+"""Seconds that the computing process has to end by itself after a cancel."""
 
 FINAL_STAGES = ("done", "error")
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Compiling a job's kernels ahead: two tiny jobs, whose results nobody wants, fill the user's cache.
+"""Compiling a job's kernels in advance: two tiny jobs, whose results are discarded, fill the user's cache.
 
-`python .../core/worker/process.py --warm` runs it and prints JSON lines like a job. Where the cache is warm
-already, it takes the few seconds that torch needs to load.
+`python .../core/worker/process.py --warm` runs it and prints JSON lines like a job. If the cache is warm already, it
+takes the few seconds in which torch loads.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def main() -> int:
 
 
 def warm(send: Callable[[dict[str, Any]], None]) -> None:
-    """Run a job of each kind - splats alone, splats on a mesh - so that all kernels are compiled and kept."""
+    """Run a job of each kind - splats alone, splats on a mesh - so that all kernels are compiled and cached."""
     begun = time.monotonic()
     jobs: tuple[dict[str, Any], ...] = ({"init": "learned"}, {"init": "visibility", "mesh": True})
     PRESETS[_NAME] = _TINY
@@ -71,7 +71,7 @@ def _run(folder: Path, settings: dict[str, Any], send: Callable[[dict[str, Any]]
 
 
 class _PartialProgress:
-    """Takes a job's lines and sends them as part of the whole."""
+    """Forwards a job's progress as a part of the progress of all jobs."""
 
     def __init__(self, send: Callable[[dict[str, Any]], None], start: float, share: float) -> None:
         self._send, self._start, self._share = send, start, share

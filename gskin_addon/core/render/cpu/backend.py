@@ -55,7 +55,7 @@ def camera_vector(camera: Camera, dilation: float = DILATION, compensate: float 
 
 @dataclass(frozen=True)
 class Frame:
-    """What a forward pass leaves for its backward pass; `image` (H,W,3) and `alpha` (H,W) are its result."""
+    """What a forward pass stores for its backward pass; `image` (H,W,3) and `alpha` (H,W) are its result."""
 
     image: Array
     alpha: Array
@@ -268,7 +268,7 @@ def prepare(
     """A scene of scales (N,3) linear, colors (N,3) and opacities (N,) in 0..1, which carry no gradient.
 
     `dilation` is added to the image covariance (pixels^2). `compensate` = e multiplies each opacity by
-    sqrt(det(S + e) / det(S + dilation)), as Mip-Splatting does with e = 0: a low-resolution stage takes
-    e = dilation (size / 512)^2 and then looks like a 512 px image made small.
+    sqrt(det(S + e) / det(S + dilation)), as Mip-Splatting does with e = 0: a low-resolution stage uses e = dilation
+    (size / 512)^2, which makes its renders match downscaled 512 px images.
     """
     return CpuScene(*check_scene(scales, colors, opacities), float(dilation), compensate)

@@ -41,7 +41,7 @@ def find_device() -> Any:
 
 @dataclass(frozen=True)
 class ForwardState:
-    """What a forward pass of P images leaves for its backward pass, all on the device."""
+    """What a forward pass of P images stores for its backward pass, all on the device."""
 
     means: Any
     quats: Any
@@ -72,7 +72,7 @@ class WarpFrame:
 
 
 class WarpScene:
-    """A scene on a Warp device; see cpu.CpuScene for what its methods mean."""
+    """A scene on a Warp device; see cpu.CpuScene for its methods."""
 
     def __init__(
         self, scales: Array, colors: Array, opacities: Array, dilation: float, compensate: float | None

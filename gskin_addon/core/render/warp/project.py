@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Warp kernels that take splats of many images to the image plane, and gradients back; see cpu_project.
+"""Warp kernels that take splats of many images to the image plane, and gradients back; see cpu/project.py.
 
 The same arithmetic as the CPU's, in float64: a few hundred operations per splat, which even a GPU without fast
 float64 has time for. Images of a batch (P) have one size; a camera is a row of `cpu.camera_vector`.
@@ -14,7 +14,7 @@ wp.set_module_options({"enable_backward": False})
 
 mat23d = wp.types.matrix(shape=(2, 3), dtype=wp.float64)
 sums6 = wp.types.vector(length=6, dtype=wp.float32)
-"""Sums over pixels of v, v dx, v dy, v dx^2, v dx dy, v dy^2; see cpu_project.project_backward."""
+"""Sums over pixels of v, v dx, v dy, v dx^2, v dx dy, v dy^2; see cpu/project.py: project_backward."""
 
 double = wp.float64
 Cameras = wp.array2d(dtype=wp.float64)

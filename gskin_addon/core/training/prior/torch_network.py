@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The network as it is trained: core/skinning/learned/network.py with gradients, for several bodies at once.
-
-Both have the same parameters by the same names; a test holds their answers together.
+"""The network for training: core/skinning/learned/network.py with gradients, for several bodies at once. Both have the
+same parameters with the same names; a test compares their outputs.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ class BodyBatch:
     """Descriptions of one or more bodies, splats in a row.
 
     bone (N, K) int64, -1 where there is none; role (N, K) int64, see `bone_roles`; values (N, K, F); kin (N, K, K)
-    int64 relation of the token in the column to the one in the row; bodies: for each its slice of splats, number of
-    bones, neighbourhoods (n, k) and labels (n, 3) within the slice.
+    int64 relation of the token in the column to the one in the row; bodies: for each body its slice of splats, number
+    of bones, neighbourhoods (n, k) and labels (n, 3) within the slice.
     """
 
     bone: Tensor
@@ -121,7 +120,7 @@ class PriorNetwork(nn.Module):
         return NetworkOutput(first, final, self._doubt(seen.detach(), final.detach()))
 
     def _exchange(self, seen: Tensor, logits: Tensor, batch: BodyBatch) -> Tensor:
-        """What the splats around say about each token's bone."""
+        """Messages of the neighbouring splats about each token's bone."""
         share = logits.softmax(-1)
         words = torch.cat([torch.ones_like(share)[..., None], torch.tanh(self.say(seen))], -1) * share[..., None]
         interrupts = [
@@ -155,10 +154,10 @@ class PriorNetwork(nn.Module):
 
 
 def pool_tokens(words: Tensor, bone: Tensor, bones: int, near: Sequence[Tensor], labels: Tensor) -> Tensor:
-    """Means of what splats say of a bone, over neighbourhoods and over labels.
+    """Means of the splats' messages about a bone, over neighbourhoods and over labels.
 
     words (n, K, C); bone (n, K), -1 where there is none; near: (n, k) splat indices; labels (n, L).
-    Returns (n, K, len(near) + L, C); a splat without a token for a bone says zero about it.
+    Returns (n, K, len(near) + L, C); a splat without a token for a bone counts as zero.
     """
     count, channels = len(words), words.shape[-1]
     present = (bone >= 0)[..., None]
