@@ -40,7 +40,7 @@ class GSKIN_OT_anchor_to_mesh(bpy.types.Operator):
         try:
             anchors = anchor_to_mesh(splats, proxy, keep_residual=self.keep_residual)
         except GSkinError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
         words = f"{anchors.count:,} splats follow '{proxy.name}'"
         beyond = int(anchors.clamped.sum())

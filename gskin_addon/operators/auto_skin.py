@@ -137,13 +137,13 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
     def _fail(self, context: bpy.types.Context, error: GSkinError) -> set[str]:
         self._leave(context)
         details = getattr(error, "traceback", "")
-        running_job.end(str(error), failed=not isinstance(error, Cancelled), details=details)
+        running_job.end(error.plain, failed=not isinstance(error, Cancelled), details=details)
         if isinstance(error, Cancelled):
-            self.report({"WARNING"}, str(error))
+            self.report({"WARNING"}, error.plain)
         else:
             if details:
                 print(details)
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
         return {"CANCELLED"}
 
     def _leave(self, context: bpy.types.Context) -> None:

@@ -81,7 +81,7 @@ class GSKIN_OT_import_splats(bpy.types.Operator, ImportHelper):
             try:
                 made.append(self._import(context, path, armature))
             except GSkinError as error:
-                self.report({"ERROR"}, str(error))
+                self.report({"ERROR"}, error.plain)
         if not made:
             return {"CANCELLED"}
         for obj in context.selected_objects:

@@ -43,7 +43,7 @@ class GSKIN_OT_install_runtime(bpy.types.Operator):
         try:
             learning_runtime.check_idle()
         except GSkinError as error:
-            cls.poll_message_set(str(error))
+            cls.poll_message_set(error.plain)
             return False
         return True
 
@@ -52,7 +52,7 @@ class GSKIN_OT_install_runtime(bpy.types.Operator):
         try:
             learning_runtime.check_online(learning_runtime.chosen_source(context))
         except GSkinError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
         made = learning_runtime.status(context).choice
         wanted = guess_backend() if made is None else made.backend.name
@@ -84,7 +84,7 @@ class GSKIN_OT_install_runtime(bpy.types.Operator):
             learning_runtime.start(context, "install", self.backend, self.diffusion)
             return finish(self)
         except GSkinError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
 
 

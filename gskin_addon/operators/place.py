@@ -32,7 +32,7 @@ class _OnSplats(_Operator):
         try:
             work(*arguments)
         except GSkinError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
         return {"FINISHED"}
 

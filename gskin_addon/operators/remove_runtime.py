@@ -22,7 +22,7 @@ class GSKIN_OT_remove_runtime(bpy.types.Operator):
         try:
             learning_runtime.check_idle()
         except GSkinError as error:
-            cls.poll_message_set(str(error))
+            cls.poll_message_set(error.plain)
             return False
         return learning_runtime.status(context).state != "missing"
 
@@ -33,10 +33,18 @@ class GSKIN_OT_remove_runtime(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
-            self.report({"INFO"}, learning_runtime.remove(context))
+            learning_runtime.remove(context)
+            return self._finish()
         except GSkinError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
+
+    def _finish(self) -> set[str]:
+        """In a window the files go in the background; without one they are waited for. Raises GSkinError."""
+        if not bpy.app.background:
+            learning_runtime.follow()
+            return {"FINISHED"}
+        self.report({"INFO"}, learning_runtime.wait_for_removal())
         return {"FINISHED"}
 
 

@@ -21,7 +21,7 @@ class GSKIN_OT_repair_runtime(bpy.types.Operator):
         try:
             learning_runtime.check_idle()
         except GSkinError as error:
-            cls.poll_message_set(str(error))
+            cls.poll_message_set(error.plain)
             return False
         if learning_runtime.status(context).state == "missing":
             cls.poll_message_set("The learning runtime is not installed yet")
@@ -35,7 +35,7 @@ class GSKIN_OT_repair_runtime(bpy.types.Operator):
             learning_runtime.start(context, "repair", backend, diffusion)
             return finish(self)
         except GSkinError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
 
 

@@ -50,7 +50,7 @@ def worker_python(context: bpy.types.Context) -> tuple[Path | None, str]:
         try:
             path, problem = find_worker_python(named), ""
         except InputError as error:
-            path, problem = None, str(error)
+            path, problem = None, error.plain
         if path is None and not problem:
             problem = (
                 "No Python with torch was found: install the learning runtime in the add-on's preferences, "
@@ -67,7 +67,7 @@ def job_python(context: bpy.types.Context, needs_runtime: bool) -> tuple[Path | 
     try:
         return own_python.job_python(False), ""
     except InputError as error:
-        return None, str(error)
+        return None, error.plain
 
 
 def forget_found() -> None:

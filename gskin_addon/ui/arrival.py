@@ -9,7 +9,6 @@ import bpy
 
 from ..scene import views
 from ..scene.bone_frames import armature_of
-from ..scene.follow_transforms import warning_of
 from ..scene.placement import is_placed, up_of
 from ..session.chosen import chosen_armature, chosen_splats
 
@@ -30,9 +29,6 @@ def draw(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
             row.operator("gskin.place_on_floor", text="", icon="TRIA_DOWN_BAR")
         if placed and chosen_armature(context) is not None:
             layout.operator("gskin.move_rig_to_splats", icon="ARMATURE_DATA")
-    warning = warning_of(splats)
-    if warning:
-        layout.label(text=warning, icon="ERROR")
     space: Any = context.space_data
     if space is not None and space.type == "VIEW_3D" and space.shading.type == "SOLID":
         shown = views.shows_colors(space)

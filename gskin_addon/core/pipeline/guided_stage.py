@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..guidance import NO_GUIDANCE, create_provider
+from ..guidance import create_provider
 from ..guidance.control import ControlSignal, make_signals
 from ..guidance.provider import GuidanceContext, to_bytes
 from ..render.backends import choose_backend
@@ -27,9 +27,10 @@ from ..skinning.presets import Preset, preset_by_name
 from ..skinning.subset import SplatSubset
 from ..skinning.views import Target
 from .eta import Eta
-from .optimise_loop import guided_kinds, make_guidance, optimise, try_out
+from .optimise_loop import make_guidance, optimise, try_out
 from .proxy import Proxy
 from .steps import JobInputs
+from .work_kinds import rendering_kinds
 
 TRIAL_POSES = 8
 """Poses of each view in a try-out. A view renders what it sees in any of them: with 6 the try-outs of `paper` took
@@ -54,12 +55,8 @@ class Learned:
 
 def work_kinds(job: JobInputs, splats: int) -> dict[str, tuple[int, float]]:
     """The kinds of work of a job on `splats` splats that renders; see `Eta`."""
-    size = splats / 50_000
-    kinds = {"splats": (1, 0.06 * size), "initial": (1, 0.3 + 0.8 * size)}
-    if job.settings.guidance != NO_GUIDANCE:
-        preset = preset_by_name(job.settings.preset)
-        kinds |= guided_kinds(preset, len(PAPER_AZIMUTHS), splats, job.skeleton.count)
-    return kinds | {"finish": (1, 0.8 * size)}
+    chosen = job.settings
+    return rendering_kinds(chosen.guidance, chosen.preset, len(PAPER_AZIMUTHS), splats, job.skeleton.count)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +75,7 @@ class GuidedStage:
         """Choose what draws. Raises InputError where it is not there."""
         preset, losses = preset_by_name(job.settings.preset), LossWeights.parse(job.settings.losses)
         rasterizer, remark = choose_backend(job.settings.rasterizer)
-        eta.tell("initial", remark or "Preparing the splats")
+        eta.report("initial", remark or "Preparing the splats")
         return cls(job, eta, preset, losses, rasterizer, remark)
 
     def try_out_on_splats(
@@ -125,10 +122,10 @@ class GuidedStage:
         confidence (M,) in the nodes' initial weights, or None; movable (M,): nodes that may change, all if left out.
         """
         chosen, preset, eta = self.job.settings, self.preset, self.eta
-        eta.tell("guidance", "Distances through the body")
+        eta.report("guidance", "Distances through the body")
         walls = None if self.job.scope.walls is None else self.job.scope.walls[subset.index]
         distances = body_distances(subset.cloud, skeleton, walls=walls)
-        eta.did("distances")
+        eta.record("distances")
         weight_field = create_field(self._field_name(), poser.nodes, nodes, chosen.field_options)
         context = GuidanceContext(
             subset.cloud,
@@ -139,7 +136,7 @@ class GuidedStage:
             options=chosen.options,
             seed=chosen.seed,
             checkpoint=self.job.checkpoint,
-            tick=lambda done, message: eta.tell("guidance", message),
+            tick=lambda done, message: eta.report("guidance", message),
         )
         signals = make_signals(skeleton, list(cameras), preset.poses_per_view, np.random.default_rng(chosen.seed))
         # Poses of their own, from their own seed: the others stay the same whatever is held out.
@@ -189,7 +186,7 @@ class GuidedStage:
         images: Pictures,
     ) -> Poser:
         chosen, preset, eta = self.job.settings, self.preset, self.eta
-        eta.tell("prepare", "Trying out an iteration")
+        eta.report("prepare", "Trying out an iteration")
         weight_field = create_field(self._field_name(), poser.nodes, rough, chosen.field_options)
         signals = make_signals(skeleton, list(cameras), TRIAL_POSES, np.random.default_rng(chosen.seed))
         rest = [to_bytes(image) for image in images]

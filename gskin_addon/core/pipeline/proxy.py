@@ -73,13 +73,13 @@ class Proxy:
             np.concatenate([cloud.opacities, np.ones(count, np.float32)]),
             np.concatenate([cloud.sh[:, :1], cloud.sh[cKDTree(cloud.means).query(self.verts)[1], :1]]),
         )
-        weights, sure = initial_with_confidence(name, both, skeleton, masks, cameras, options)
-        return weights[cloud.count :], None if sure is None else sure[cloud.count :]
+        weights, confidence = initial_with_confidence(name, both, skeleton, masks, cameras, options)
+        return weights[cloud.count :], None if confidence is None else confidence[cloud.count :]
 
-    def spread(self, weights: NDArray[np.float32], normalised: bool = True) -> NDArray[np.float32]:
+    def to_splats(self, weights: NDArray[np.float32], normalised: bool = True) -> NDArray[np.float32]:
         """Weights (N, B) of all splats from those of the vertices (V, B); or other values, not `normalised`."""
-        spread = splat_weights(self.anchors, weights, self.faces)
-        return spread / spread.sum(axis=1, keepdims=True) if normalised else spread
+        values = splat_weights(self.anchors, weights, self.faces)
+        return values / values.sum(axis=1, keepdims=True) if normalised else values
 
     def poser(self, subset: SplatSubset, neighbours: int = NEIGHBOURS) -> AnchoredPoser:
         """What moves the splats that are optimised; neighbours: of each vertex, for ARAP."""

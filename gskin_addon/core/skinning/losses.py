@@ -21,8 +21,8 @@ class LossWeights:
     Both are thereby free of the asset's scale. The paper has K_1 = 30 and does not state its w_a, w_c and K_2; these
     here are the best of a sweep (`benchmarks/sweep_losses.py`, docs/benchmarks.md).
 
-    arap, coupling: w_a, w_c; dssim: share of D-SSIM beside L1, 0 to 1; anchor: of the divergence from the initial
-    weights; arap_neighbours, coupling_neighbours: K_1, K_2; arap_nodes: nodes drawn for ARAP in each iteration, 0
+    arap, coupling: w_a, w_c; dssim: share of D-SSIM beside L1, 0 to 1; anchor: of `PriorLoss`, named as the
+    job's key; arap_neighbours, coupling_neighbours: K_1, K_2; arap_nodes: nodes drawn for ARAP in each iteration, 0
     for all.
     """
 

@@ -55,7 +55,8 @@ def main(folder: str | Path, pipeline: Pipeline | None = None) -> int:
         return 0
     except Exception as error:
         code, sentence, details = explain(error)
-        send({"stage": "error", "error": sentence, "traceback": details, "exit_code": code})
+        plain = getattr(error, "plain", sentence)
+        send({"stage": "error", "error": sentence, "plain": plain, "traceback": details, "exit_code": code})
         return code
 
 
@@ -100,7 +101,8 @@ def check_modules(modules: tuple[str, ...] = MODULES) -> None:
         raise InputError(
             f"The worker's interpreter '{sys.executable}' lacks {' and '.join(missing)}; install "
             f"with: {sys.executable} -m pip install {' '.join(missing)}"
-            " - or name another interpreter in the add-on's preferences (or GSKIN_PYTHON)."
+            " - or name another interpreter in the add-on's preferences.",
+            shell="or GSKIN_PYTHON",
         )
 
 

@@ -54,7 +54,7 @@ def supervise(command: Sequence[str]) -> int:
     child = subprocess.Popen(
         list(command), stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=os.name == "posix"
     )
-    relay = _Relay(child, stop)
+    relay = _LineRelay(child, stop)
     asked_at: float | None = None
     while child.poll() is None:
         if asked_at is None and (stop.is_set() or (os.name == "posix" and os.getppid() != parent)):
@@ -72,7 +72,7 @@ def supervise(command: Sequence[str]) -> int:
     return child.returncode if child.returncode in (0, 1, 2, 130) and relay.final else 1
 
 
-class _Relay:
+class _LineRelay:
     """Copies the child's lines to our stdout, whole lines only, from a thread."""
 
     def __init__(self, child: subprocess.Popen[bytes], stop: CancelFlag) -> None:

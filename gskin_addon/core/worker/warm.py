@@ -55,7 +55,7 @@ def warm(send: Callable[[dict[str, Any]], None]) -> None:
         for number, settings in enumerate(jobs):
             with tempfile.TemporaryDirectory(prefix="gskin-warm-") as folder:
                 settings |= {"preset": _NAME, "guidance": "elastic"}
-                _run(Path(folder), settings, _Relay(send, number / len(jobs), 1 / len(jobs)))
+                _run(Path(folder), settings, _PartialProgress(send, number / len(jobs), 1 / len(jobs)))
     finally:
         del PRESETS[_NAME]
     seconds = round(time.monotonic() - begun, 1)
@@ -70,7 +70,7 @@ def _run(folder: Path, settings: dict[str, Any], send: Callable[[dict[str, Any]]
     job_runner.run_job(folder, send, CancelFlag())
 
 
-class _Relay:
+class _PartialProgress:
     """Takes a job's lines and sends them as part of the whole."""
 
     def __init__(self, send: Callable[[dict[str, Any]], None], start: float, share: float) -> None:

@@ -95,7 +95,7 @@ def jacobian(point: wp.vec3d, u: wp.float64, v: wp.float64, cameras: Cameras, p:
 
 
 @wp.func
-def spread(T: mat23d, R: wp.mat33d, scale: wp.vec3):
+def covariance_factor(T: mat23d, R: wp.mat33d, scale: wp.vec3):
     """U = T R diag(s), whose square is the image covariance."""
     U = T @ R
     s0 = double(scale[0])
@@ -139,7 +139,7 @@ def project(
     if not (z > cameras[p, 14]) or inverse == double(0.0):
         return
     u, v = slopes(point, cameras, p)
-    U = spread(jacobian(point, u, v, cameras, p), rotation(q), scales[i])
+    U = covariance_factor(jacobian(point, u, v, cameras, p), rotation(q), scales[i])
     xx, xy, yy, det = covariance(U, cameras[p, 20])
     if not (det > double(0.0) and wp.isfinite(det)):
         return
@@ -227,7 +227,7 @@ def project_backward(
     R = rotation(q)
     W = camera_rotation(cameras, p)
     T = jacobian(point, u, v, cameras, p)
-    U = spread(T, R, scales[i])
+    U = covariance_factor(T, R, scales[i])
     xx, xy, yy, det = covariance(U, cameras[p, 20])
     a = yy / det
     b = -xy / det
