@@ -30,7 +30,7 @@ def even_scale(obj: bpy.types.Object) -> None:
     """
     if is_splat_object(obj):
         refuse_bound(obj)
-        x, y, z = (abs(value) for value in obj.scale)
+        x, y, z = abs(obj.scale.x), abs(obj.scale.y), abs(obj.scale.z)
         obj.scale = [(x * y * z) ** (1 / 3) or 1.0] * 3
     else:
         data: Any = obj.data

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import bpy
+import numpy as np
 
 from ..core.errors import InputError
 from ..core.job.checks import APART, SOUND, better_axis, check_overlap, overlap
@@ -125,7 +126,7 @@ def _fit_checks(splats: bpy.types.Object, armature: bpy.types.Object) -> list[Ch
     if splat_count(splats) < 2:
         return []
     rig = [(*b.head_local, *b.tail_local, b.use_deform) for b in armature.data.bones]
-    matrices = tuple(tuple(tuple(row) for row in obj.matrix_world) for obj in (splats, armature))
+    matrices = tuple(np.asarray(obj.matrix_world).tobytes() for obj in (splats, armature))
     bound = followed_armature(splats) is not None or splats.parent is not None
     shape = _shape_of(splats)
     names = splats.name, armature.name, up_of(splats), bound, is_placed(splats)

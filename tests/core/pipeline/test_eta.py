@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from gskin_addon.core.pipeline.eta import Eta, StageEta
-from gskin_addon.core.pipeline.optimise_loop import TRIALS, _first_visits, guided_kinds
+from gskin_addon.core.pipeline.optimise_loop import TRIALS, _first_visits
+from gskin_addon.core.pipeline.work_kinds import guided_kinds
 from gskin_addon.core.skinning.presets import PRESETS
 
 # Seconds for each piece: an easy job, one whose pictures are slow, one whose large images are slow, a slow machine.
