@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 import bpy
+import numpy as np
 from mathutils import Matrix
 
 from ..core.errors import InputError
@@ -30,12 +31,12 @@ def even_scale(obj: bpy.types.Object) -> None:
     """
     if is_splat_object(obj):
         refuse_bound(obj)
-        x, y, z = abs(obj.scale.x), abs(obj.scale.y), abs(obj.scale.z)
-        obj.scale = [(x * y * z) ** (1 / 3) or 1.0] * 3
+        mean = float(np.cbrt(np.abs(np.array(obj.scale)).prod()))
+        obj.scale = (mean or 1.0,) * 3
     else:
         data: Any = obj.data
         if data.users > 1 or data.library is not None:
             raise InputError(f"The bones of '{obj.name}' are shared or linked; make them single-user and try again.")
-        data.transform(Matrix.Diagonal((*obj.scale, 1.0)))
+        data.transform(Matrix.LocRotScale(None, None, obj.scale))
         obj.scale = (1.0, 1.0, 1.0)
     world_similarity(obj)

@@ -76,16 +76,16 @@ def bone_box(skeleton: Skeleton) -> tuple[Array, Array]:
 def scale_to_fit(points: Array, skeleton: Skeleton) -> float:
     """By how much the bones must be scaled to be as large as the splats at `points` (n, 3); 1 where one has no size."""
     (low, high), (bottom, top) = box_of(points), bone_box(skeleton)
-    size, bones = float(np.linalg.norm(high - low)), float(np.linalg.norm(top - bottom))
-    return _FILLED * size / bones if size > 0 and bones > 0 else 1.0
+    wanted, present = float(np.linalg.norm(high - low)), float(np.linalg.norm(top - bottom))
+    return _FILLED * wanted / present if wanted > 0 and present > 0 else 1.0
 
 
 def step_to_fit(points: Array, skeleton: Skeleton) -> Array:
     """(3,) translation that brings the bones into the splats at `points` (n, 3): middle over middle, feet on feet."""
     (low, high), (bottom, top) = box_of(points), bone_box(skeleton)
-    step = np.asarray((low + high) - (bottom + top)) / 2
-    if top[2] - bottom[2] > 0.5 * (high[2] - low[2]):
-        step[2:] = low[2:] - bottom[2:]
+    step: Array = ((low + high) - (bottom + top)) / 2
+    if top[2] - bottom[2] > 0.5 * (high[2] - low[2]):  # a whole figure, which stands
+        step[2] = low[2] - bottom[2]
     return step
 
 

@@ -29,6 +29,8 @@ STRAYS = 0.002
 """Share of stray splats that is worth a word."""
 SIZES = (0.4, 2.5)
 """By how much a rig may have to be scaled before its size is doubted: it may lack a tail, or have bones for props."""
+ABSURD = (0.2, 20.0)
+"""Where its size is certainly wrong: another unit. A small rig may also stand in a large captured scene."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ _KEPT = 8
 
 
 def checks(context: bpy.types.Context) -> list[Check]:
-    """All checks of the chosen objects, in the order in which to mend them. Quick: panels ask on every redraw."""
+    """All checks of the chosen objects, in the order to mend them in. Quick: panels ask on every redraw."""
     splats, armature = chosen_splats(context), chosen_armature(context)
     found = [_splats_check(splats), _armature_check(armature)]
     if splats is not None and armature is not None:
@@ -126,7 +128,7 @@ def _fit_checks(splats: bpy.types.Object, armature: bpy.types.Object) -> list[Ch
     if splat_count(splats) < 2:
         return []
     rig = [(*b.head_local, *b.tail_local, b.use_deform) for b in armature.data.bones]
-    matrices = tuple(np.asarray(obj.matrix_world).tobytes() for obj in (splats, armature))
+    matrices = tuple(np.array(obj.matrix_world).tobytes() for obj in (splats, armature))
     bound = followed_armature(splats) is not None or splats.parent is not None
     shape = _shape_of(splats)
     names = splats.name, armature.name, up_of(splats), bound, is_placed(splats)
@@ -175,10 +177,9 @@ def _size_check(points: Any, skeleton: Skeleton, armature: bpy.types.Object, bou
         return Check("Size")
     words = f"{factor:.3g} times too small" if factor > 1 else f"{1 / factor:.3g} times too large"
     sentence = f"Armature '{armature.name}' is about {words} for the splats"
-    here = overlap(points, skeleton)
-    level: State = "stop" if here < APART else "warn"
-    if level == "stop":
-        sentence = f"Armature '{armature.name}' is about {words} for the splats, and does not overlap them; scale it"
+    level: State = "warn" if ABSURD[0] <= factor <= ABSURD[1] else "stop"
+    if overlap(points, skeleton) < APART:
+        level, sentence = "stop", f"{sentence}, and does not overlap them"
     if bound:
         return Check("Size", level, sentence)
     return Check("Size", level, sentence, "gskin.fix_rig_scale", f"Scale the Rig by {factor:.3g}")
