@@ -31,7 +31,7 @@ ROWS = 500
 RESHAPED = 0.6
 """Share of an asset's further lessons in which it has other proportions and another rest pose."""
 
-VERSION = 8
+VERSION = 9
 """Of the lesson files; other versions are made anew."""
 
 
