@@ -31,7 +31,7 @@ ROWS = 500
 PROPORTIONS_CHANGED = 0.6
 """Share of an asset's samples, after the first, with other proportions and another rest pose."""
 
-VERSION = 8
+VERSION = 9
 """Of the sample files; those of another version are made anew."""
 
 
