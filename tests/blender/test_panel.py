@@ -424,6 +424,18 @@ def test_the_weights_panel_has_a_click_for_each_way(scene, splats, armature):
 # --- save and export
 
 
+def test_settings_are_kept_as_a_preset(scene, tmp_path, monkeypatch):
+    monkeypatch.setenv("BLENDER_USER_SCRIPTS", str(tmp_path))
+    scene.gskin.guidance, scene.gskin.preset, scene.gskin.max_influences = "elastic", "high", 3
+    assert bpy.ops.gskin.job_preset_add(name="Mine") == {"FINISHED"}
+    (kept,) = (tmp_path / "presets" / "gskin" / "job").glob("*.py")
+    scene.gskin.guidance, scene.gskin.preset, scene.gskin.max_influences = "none", "draft", 4
+    menu = "GSKIN_PT_job_presets"
+    assert bpy.ops.script.execute_preset(filepath=str(kept), menu_idname=menu) == {"FINISHED"}
+    assert (scene.gskin.guidance, scene.gskin.preset, scene.gskin.max_influences) == ("elastic", "high", 3)
+    assert bpy.types.GSKIN_PT_job_presets.preset_subdir == bpy.types.GSKIN_OT_job_preset_add.preset_subdir
+
+
 def test_saved_weights_are_loaded_again(scene, splats, armature, tmp_path):
     assert not bpy.ops.gskin.save_weights.poll()
     bind(splats, armature, confidence=np.linspace(0, 1, 2000, dtype=np.float32))
