@@ -421,6 +421,40 @@ def test_the_weights_panel_has_a_click_for_each_way(scene, splats, armature):
     assert "gskin.release_from_mesh" in drawn(splat_panels.GSKIN_PT_weights)
 
 
+@pytest.mark.parametrize(
+    ("operator", "words"),
+    [
+        ("undo_placement", "where their file has them"),
+        ("move_rig_to_splats", "where their file has them"),
+        ("even_scale", "have an even scale"),
+        ("save_weights", "follow an armature"),
+        ("export_glb", "follow no armature"),
+        ("update_rotation_weights", "follow an armature"),
+        ("anchor_to_mesh", "name it as Proxy Mesh"),
+        ("release_from_mesh", "follow a mesh"),
+        ("select_unsure_splats", "how sure they are"),
+    ],
+)
+def test_what_cannot_work_now_says_why(scene, operator, words):
+    click = getattr(bpy.ops.gskin, operator)
+    assert not click.poll()
+    with pytest.raises(RuntimeError, match=words):
+        click()
+
+
+def test_placing_in_another_mode_says_why(scene, armature):
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.object.mode_set(mode="POSE")
+    with pytest.raises(RuntimeError, match="Go to Object Mode"):
+        bpy.ops.gskin.place_on_floor()
+    bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def test_every_click_can_be_undone(scene):
+    for name in ("fix_rig_scale", "center_rig", "enable_deform", "even_scale"):
+        assert "UNDO" in getattr(bpy.types, f"GSKIN_OT_{name}").bl_options
+
+
 # --- save and export
 
 
