@@ -22,6 +22,7 @@ from .operators import (
     fix_rig_scale,
     import_splats,
     install_runtime,
+    job_presets,
     place,
     remove_runtime,
     repair_runtime,
@@ -29,6 +30,7 @@ from .operators import (
 )
 from .scene import follow_display, follow_transforms, handlers, helpers
 from .session import guidance_settings, properties
+from .ui import job_presets as job_presets_menu
 from .ui import panel, preferences, splat_panels
 
 # Each has CLASSES, and register() and unregister() where there is more to do.
@@ -56,6 +58,8 @@ MODULES = (
     anchor,
     auto_skin,
     command_line,
+    job_presets,
+    job_presets_menu,
     panel,
     splat_panels,
     handlers,

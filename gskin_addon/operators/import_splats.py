@@ -20,6 +20,7 @@ from ..scene.armature import read_skeleton
 from ..scene.placement import fits_where_it_is, place_on_floor
 from ..scene.render import prepare_scene
 from ..scene.splat_object import create_splat_object
+from ..session import readiness
 from ..session.chosen import chosen_armature
 
 
@@ -88,6 +89,7 @@ class GSKIN_OT_import_splats(bpy.types.Operator, ImportHelper):
             obj.select_set(False)
         for obj in made:
             obj.select_set(True)
+            readiness.look_at(obj)
         context.view_layer.objects.active = made[-1]
         prepare_scene(context.scene)
         # Attribute colours would repaint every other object, too; there the panel has a button.

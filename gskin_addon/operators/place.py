@@ -26,7 +26,10 @@ class _OnSplats(_Operator):
         if chosen_splats(context) is None:
             cls.poll_message_set("No splats are chosen")
             return False
-        return context.mode == "OBJECT"
+        if context.mode != "OBJECT":
+            cls.poll_message_set("Go to Object Mode")
+            return False
+        return True
 
     def _try(self, work: Callable[..., None], *arguments: object) -> set[str]:
         try:
@@ -80,7 +83,12 @@ class GSKIN_OT_undo_placement(_OnSplats, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return super().poll(context) and is_placed(chosen_splats(context))
+        if not super().poll(context):
+            return False
+        if not is_placed(chosen_splats(context)):
+            cls.poll_message_set("The splats are where their file has them")
+            return False
+        return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         return self._try(undo_placement, chosen_splats(context))
@@ -94,7 +102,15 @@ class GSKIN_OT_move_rig_to_splats(_OnSplats, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return super().poll(context) and is_placed(chosen_splats(context)) and chosen_armature(context) is not None
+        if not super().poll(context):
+            return False
+        if not is_placed(chosen_splats(context)):
+            cls.poll_message_set("The splats are where their file has them")
+            return False
+        if chosen_armature(context) is None:
+            cls.poll_message_set("No armature is chosen")
+            return False
+        return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         top = chosen_armature(context)

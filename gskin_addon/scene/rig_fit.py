@@ -83,7 +83,7 @@ def scale_to_fit(points: Array, skeleton: Skeleton) -> float:
 def step_to_fit(points: Array, skeleton: Skeleton) -> Array:
     """(3,) translation that brings the bones into the splats at `points` (n, 3): middle over middle, feet on feet."""
     (low, high), (bottom, top) = box_of(points), bone_box(skeleton)
-    step = np.asarray((low + high) - (bottom + top)) / 2
+    step = np.asarray(((low + high) - (bottom + top)) / 2)
     if top[2] - bottom[2] > 0.5 * (high[2] - low[2]):  # a whole figure, which stands
         step[2] = low[2] - bottom[2]
     return step

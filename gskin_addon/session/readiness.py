@@ -27,7 +27,7 @@ State = Literal["ok", "warn", "stop"]
 
 STRAYS = 0.002
 """Share of stray splats that is worth a word."""
-SIZES = (0.4, 2.5)
+SIZES = (0.3, 2.5)
 """By how much a rig may have to be scaled before its size is doubted: it may lack a tail, or have bones for props."""
 ABSURD = (0.2, 20.0)
 """Where its size is certainly wrong: another unit. A small rig may also stand in a large captured scene."""
@@ -76,6 +76,12 @@ def what_is_missing(context: bpy.types.Context) -> str:
 def guidance_remedy(context: bpy.types.Context) -> learning_runtime.Remedy | None:
     """What keeps guidance from computing, and the click that mends it; None where a Python with torch is at hand."""
     return None if worker_python(context)[0] is not None else learning_runtime.remedy(context)
+
+
+def look_at(splats: bpy.types.Object) -> None:
+    """Take the sample of just imported splats, so that the first redraw need not."""
+    if splat_count(splats) >= 2:
+        _remember(_samples, _shape_of(splats), lambda: sample_splats(splats))
 
 
 def forget() -> None:

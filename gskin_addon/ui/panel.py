@@ -11,6 +11,7 @@ from ..session.estimate import expected_time
 from ..session.properties import GSkinSettings
 from ..session.running_job import state
 from . import arrival, check_list, guidance, progress
+from .job_presets import GSKIN_PT_job_presets
 
 
 class GSKIN_PT_main(bpy.types.Panel):
@@ -19,6 +20,9 @@ class GSKIN_PT_main(bpy.types.Panel):
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "GSkin"
+
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        GSKIN_PT_job_presets.draw_panel_header(self.layout)
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout

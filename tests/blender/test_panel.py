@@ -421,7 +421,53 @@ def test_the_weights_panel_has_a_click_for_each_way(scene, splats, armature):
     assert "gskin.release_from_mesh" in drawn(splat_panels.GSKIN_PT_weights)
 
 
+@pytest.mark.parametrize(
+    ("operator", "words"),
+    [
+        ("undo_placement", "where their file has them"),
+        ("move_rig_to_splats", "where their file has them"),
+        ("even_scale", "have an even scale"),
+        ("save_weights", "follow an armature"),
+        ("export_glb", "follow no armature"),
+        ("update_rotation_weights", "follow an armature"),
+        ("anchor_to_mesh", "name it as Proxy Mesh"),
+        ("release_from_mesh", "follow a mesh"),
+        ("select_unsure_splats", "how sure they are"),
+    ],
+)
+def test_what_cannot_work_now_says_why(scene, operator, words):
+    click = getattr(bpy.ops.gskin, operator)
+    assert not click.poll()
+    with pytest.raises(RuntimeError, match=words):
+        click()
+
+
+def test_placing_in_another_mode_says_why(scene, armature):
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.object.mode_set(mode="POSE")
+    with pytest.raises(RuntimeError, match="Go to Object Mode"):
+        bpy.ops.gskin.place_on_floor()
+    bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def test_every_click_can_be_undone(scene):
+    for name in ("fix_rig_scale", "center_rig", "enable_deform", "even_scale"):
+        assert "UNDO" in getattr(bpy.types, f"GSKIN_OT_{name}").bl_options
+
+
 # --- save and export
+
+
+def test_settings_are_kept_as_a_preset(scene, tmp_path, monkeypatch):
+    monkeypatch.setenv("BLENDER_USER_SCRIPTS", str(tmp_path))
+    scene.gskin.guidance, scene.gskin.preset, scene.gskin.max_influences = "elastic", "high", 3
+    assert bpy.ops.gskin.job_preset_add(name="Mine") == {"FINISHED"}
+    (kept,) = (tmp_path / "presets" / "gskin" / "job").glob("*.py")
+    scene.gskin.guidance, scene.gskin.preset, scene.gskin.max_influences = "none", "draft", 4
+    menu = "GSKIN_PT_job_presets"
+    assert bpy.ops.script.execute_preset(filepath=str(kept), menu_idname=menu) == {"FINISHED"}
+    assert (scene.gskin.guidance, scene.gskin.preset, scene.gskin.max_influences) == ("elastic", "high", 3)
+    assert bpy.types.GSKIN_PT_job_presets.preset_subdir == bpy.types.GSKIN_OT_job_preset_add.preset_subdir
 
 
 def test_saved_weights_are_loaded_again(scene, splats, armature, tmp_path):
