@@ -10,11 +10,13 @@ found out. Made once, and again when this file or the interpreter changes.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import hashlib
 import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import make_venv
@@ -46,10 +48,28 @@ def main() -> int:
 
 def make(version: str, folder: Path = FOLDER) -> Path:
     """The interpreter of the environment for a version of Blender, made where it is not; raises Missing."""
-    venv = folder.absolute() / f"bpy-{version}"
     python = find_python(PYTHONS[version])
     if problem := make_venv.install_system_libraries():
         raise Missing(problem)
+    folder.mkdir(parents=True, exist_ok=True)
+    with alone(folder / f"bpy-{version}.lock"):
+        return _make(version, python, folder.absolute() / f"bpy-{version}")
+
+
+@contextlib.contextmanager
+def alone(lock: Path) -> Iterator[None]:
+    """Wait until no other process makes the same environment, where the system has such locks."""
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    with lock.open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        yield
+
+
+def _make(version: str, python: str, venv: Path) -> Path:
     packages = [f"bpy=={version}.*", *PACKAGES]
     stamp, own = venv / "gskin-setup.sha256", make_venv.venv_python(venv)
     state = hashlib.sha256(repr((packages, python, str(venv))).encode()).hexdigest()

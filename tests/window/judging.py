@@ -16,7 +16,7 @@ SPLATS = ("01_panel", "03_progress_60", "04_done", "05_posed", "06_posed_clean",
 """Pictures that must show the character."""
 MOVED = (("04_done", "05_posed"), ("06_posed_clean", "08_reloaded"))
 """Pairs between which the character has moved."""
-FILLED, COLOURS, MOVED_SHARE = 0.05, 2000, 0.03
+FILLED, COLOURS, MOVED_SHARE = 0.1, 10_000, 0.03
 """Least share of a view that is not background and least number of its colours; least share that a pose changes."""
 
 

@@ -37,11 +37,15 @@ class Pace:
         paces = self._between(since, until)
         return max(1.0, sum(paces) / len(paces)) if paces else 1.0
 
+    def busy(self, since: float, until: float | None = None) -> float:
+        """The most processor time that a piece of work took, over its least, at least 1: shared caches and clocks."""
+        return max([1.0, *self._between(since, until, 2)])
+
     def worst(self, since: float, until: float | None = None) -> float:
         """The slowest single piece of work between two times, at least 1."""
         return max([1.0, *self._between(since, until)])
 
-    def _between(self, since: float, until: float | None) -> list[float]:
+    def _between(self, since: float, until: float | None, column: int = 1) -> list[float]:
         lines = self.record.read_text().splitlines()
         # The last line may be half written.
         pieces = [tuple(map(float, line.split()[:3])) for line in lines if line.endswith(" .")]
@@ -49,8 +53,8 @@ class Pace:
             return []
         # What the work costs when nobody interrupts: the least of all, because others only ever add.
         quiet = min(busy for _, _, busy in pieces)
-        inside = [took / quiet for end, took, _ in pieces if since <= end - took and (until is None or end <= until)]
-        return inside or [took / quiet for _, took, _ in pieces[-3:]]
+        inside = [piece for piece in pieces if since <= piece[0] - piece[1] and (until is None or piece[0] <= until)]
+        return [piece[column] / quiet for piece in inside or pieces[-3:]]
 
 
 def meter(record: Path) -> None:

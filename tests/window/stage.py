@@ -31,7 +31,7 @@ class Stage:
         self.checks: list[tuple[str, bool, str]] = []
         self.numbers: dict[str, float] = {}
         self.views: dict[str, tuple[int, int, int, int]] = {}
-        self.beats: list[tuple[float, str]] = []
+        self.beats: list[tuple[float, str, float]] = []
         self.chapter = ""
         self.redraws: Counter[str] = Counter()
         self._story: Story | None = None
@@ -65,19 +65,24 @@ class Stage:
 
     def chapter_times(self, chapter: str) -> tuple[float, float]:
         """The first and the last beat of a chapter; zeros where it had none."""
-        times = [at for at, name in self.beats if name == chapter]
+        times = [at for at, name, _ in self.beats if name == chapter]
         return (times[0], times[-1]) if times else (0.0, 0.0)
 
     def gaps(self, chapter: str) -> list[float]:
         """Seconds between beats of which the later one fell in `chapter`."""
         pairs = zip(self.beats, self.beats[1:], strict=False)
-        return [late - early for (early, _), (late, name) in pairs if name == chapter]
+        return [late - early for (early, _, _), (late, name, _) in pairs if name == chapter]
+
+    def busy(self, chapter: str) -> list[float]:
+        """Seconds of processor time that Blender's main thread took between the same beats."""
+        pairs = zip(self.beats, self.beats[1:], strict=False)
+        return [late - early for (_, _, early), (_, name, late) in pairs if name == chapter]
 
     def _redrawn(self) -> None:
         self.redraws[self.chapter] += 1
 
     def _beat(self) -> float | None:
-        self.beats.append((time.monotonic(), self.chapter))
+        self.beats.append((time.monotonic(), self.chapter, time.thread_time()))
         try:
             while self._ready():
                 self._wait = next(self._story)

@@ -34,6 +34,7 @@ def test_pace_is_the_slowest_and_the_mean_work_of_a_time(tmp_path):
     pace.record.write_text("".join(lines) + f"{now + 4} 9.0")
     assert pace.worst(now) == pytest.approx(6)
     assert pace.mean(now) == pytest.approx(3)
+    assert pace.busy(now) == pytest.approx(1.2)
     assert pace.worst(now, now + 2.5) == pytest.approx(2)
     # Where no work ended in a time, the last ones before it tell.
     assert pace.worst(now + 9) == pytest.approx(6)
