@@ -41,7 +41,7 @@ from gskin_addon.core.render.rasterizer import render_cloud
 from gskin_addon.core.render.reference import render as render_slowly
 from gskin_addon.core.skinning.fields import create_field
 from gskin_addon.core.skinning.initial import initial_weights
-from gskin_addon.core.skinning.optimise import Optimiser, Target, visibility_schedule
+from gskin_addon.core.skinning.optimise import LearningOptions, Optimiser, Target, visibility_schedule
 from gskin_addon.core.skinning.presets import Preset
 from gskin_addon.core.skinning.subset import choose_subset
 
@@ -127,7 +127,8 @@ def make_optimiser(splats: int, bones: int, size: int, batch: int, poses: int = 
     images = Oracle(GuidanceContext(cloud, skeleton, initial, initial), asset.weights[subset.index]).images(signals)
     targets = [Target(s.camera, s.transforms, image) for s, image in zip(signals, images, strict=True)]
     field = create_field("pyramid", cloud.means, initial)
-    return Optimiser(cloud, skeleton, field, targets, Preset("", poses, ((size, 10_000),), batch), rasterizer="cpu")
+    preset = Preset("", poses, ((size, 10_000),), batch)
+    return Optimiser(cloud, skeleton, field, targets, preset, options=LearningOptions(rasterizer="cpu"))
 
 
 def iteration_cost(optimiser: Optimiser, repeats: int) -> tuple[float, float, float]:

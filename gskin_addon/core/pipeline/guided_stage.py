@@ -21,7 +21,7 @@ from ..skinning.fields import create_field
 from ..skinning.geodesic import body_distances
 from ..skinning.initial import initial_weights
 from ..skinning.losses import LossWeights
-from ..skinning.optimise import Optimiser
+from ..skinning.optimise import LearningOptions, Optimiser
 from ..skinning.posers import Poser, SplatPoser
 from ..skinning.presets import Preset, preset_by_name
 from ..skinning.subset import SplatSubset
@@ -147,11 +147,13 @@ class GuidedStage:
             skeleton,
             weight_field,
             poser=poser,
-            losses=self.losses,
-            confidence=confidence,
-            movable=movable,
-            seed=chosen.seed,
-            rasterizer=self.rasterizer,
+            options=LearningOptions(
+                losses=self.losses,
+                confidence=confidence,
+                movable=movable,
+                seed=chosen.seed,
+                rasterizer=self.rasterizer,
+            ),
         )
         targets = make_guidance(create_provider(chosen.guidance, context), [*signals, *unseen], eta)
         eta.end_stage("guidance")
@@ -198,8 +200,7 @@ class GuidedStage:
             at_rest,
             preset,
             poser=poser,
-            losses=self.losses,
-            rasterizer=self.rasterizer,
+            options=LearningOptions(losses=self.losses, rasterizer=self.rasterizer),
         )
         try_out(trial, eta, len(cameras) * preset.poses_per_view)
         eta.end_stage("prepare")

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -28,7 +29,27 @@ from .visibility_schedule import PRUNE_FROM, visibility_schedule
 
 __all__ = ["LossWeights", "Optimiser", "Target"]
 
-DEFAULT_LOSSES = LossWeights()
+
+@dataclass(frozen=True, eq=False)
+class LearningOptions:
+    """How an `Optimiser` learns, beside its preset.
+
+    losses: weights of the loss terms; confidence (M,), 0 to 1, weights the prior loss of each node (default: 1);
+    movable (M,) marks the nodes that may change, all if left out: the others keep the field's initial weights and are
+    only rendered; prune: False renders all splats in every view, the hidden ones too; seed: of all randomness;
+    background: sRGB; rasterizer: a name in BACKENDS, or "auto".
+    """
+
+    losses: LossWeights = field(default_factory=LossWeights)
+    confidence: NDArray[Any] | None = None
+    movable: NDArray[np.bool_] | None = None
+    prune: bool = True
+    seed: int = 0
+    background: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    rasterizer: str = AUTO
+
+
+DEFAULT_OPTIONS = LearningOptions()
 
 
 class Optimiser:
@@ -38,9 +59,7 @@ class Optimiser:
     the poser's nodes. The cloud, the skeleton and the targets must share one coordinate system in which the object is
     about unit size (bounding-box diagonal 1), so that the loss weights mean the same for every asset.
 
-    `held_out` targets are used by `check` only. `confidence` (M,), 0 to 1, weights the prior loss of each node
-    (default: 1). `movable` (M,) marks the nodes that may change; the others keep the field's initial weights and are
-    only rendered. `prune=False` renders all splats in every view, the hidden ones too.
+    `held_out` targets are used by `check` only.
     """
 
     def __init__(
@@ -52,37 +71,33 @@ class Optimiser:
         preset: Preset,
         *,
         poser: Poser | None = None,
-        losses: LossWeights = DEFAULT_LOSSES,
         held_out: Sequence[Target] = (),
-        confidence: NDArray[Any] | None = None,
-        movable: NDArray[np.bool_] | None = None,
-        prune: bool = True,
-        seed: int = 0,
-        background: tuple[float, float, float] = (1.0, 1.0, 1.0),
-        rasterizer: str = AUTO,
+        options: LearningOptions = DEFAULT_OPTIONS,
     ) -> None:
+        losses, background = options.losses, options.background
         self.field, self.targets, self.preset, self.losses = field, targets, preset, losses
         self.iteration = 0
         self.stop = EarlyStop(preset.patience)
         self._visible_since = -1
-        self.rasterizer = resolve_backend(rasterizer)
+        self.rasterizer = resolve_backend(options.rasterizer)
         views = partial(
             GuidanceViews, cloud, dssim=losses.dssim, background=background, backend=self.rasterizer
         )
         self._views, self._held_out = views(targets), views(held_out)
         self._best: dict[str, torch.Tensor] | None = None
-        self._rng = np.random.default_rng(seed)
+        self._rng = np.random.default_rng(options.seed)
         self._queue: list[int] = []
         self._rate = preset.learning_rate * field.rate
         self._adam = torch.optim.Adam(field.parameters(), lr=self._rate, betas=(0.9, 0.99))
         self._poser: Poser = poser or SplatPoser(cloud, losses.arap_neighbours)
         self._device_renderer = self._make_device_renderer(cloud, background)
         # A GPU gains less from fewer splats than finding the visible ones costs.
-        prune = prune and cloud.count >= PRUNE_FROM and self._device_renderer is None
+        prune = options.prune and cloud.count >= PRUNE_FROM and self._device_renderer is None
         self.visibility_updates: frozenset[int] = visibility_schedule(preset, len(targets)) if prune else frozenset()
         nodes, self._neighbours = self._poser.nodes, self._poser.neighbours
         self._nodes = nodes
-        self._prior_loss = PriorLoss(field, confidence)
+        self._prior_loss = PriorLoss(field, options.confidence)
+        movable = options.movable
         self._movable = None if movable is None else torch.from_numpy(movable)[:, None]
         self._coupling = prepare_coupling(nodes, skeleton, neighbours=losses.coupling_neighbours)
         step = max(1, len(nodes) // 5000)

@@ -13,7 +13,7 @@ from gskin_addon.core.render.camera import paper_views
 from gskin_addon.core.skinning import optimise
 from gskin_addon.core.skinning.fields.pyramid import SparsePyramid
 from gskin_addon.core.skinning.losses import LossWeights
-from gskin_addon.core.skinning.optimise import Optimiser, Target
+from gskin_addon.core.skinning.optimise import LearningOptions, Optimiser, Target
 from gskin_addon.core.skinning.presets import PRESETS
 from tests.helpers.limb import make_limb
 
@@ -34,10 +34,11 @@ def task():
     return limb, start, targets
 
 
-def make(task, seed=0, preset=PRESET, **options):
+def make(task, seed=0, preset=PRESET, held_out=(), **options):
     limb, start, targets = task
     field = SparsePyramid(limb.cloud.means, start)
-    return Optimiser(limb.cloud, limb.skeleton, field, targets, preset, seed=seed, **options)
+    chosen = LearningOptions(seed=seed, **options)
+    return Optimiser(limb.cloud, limb.skeleton, field, targets, preset, held_out=held_out, options=chosen)
 
 
 def error(limb, weights):
