@@ -17,7 +17,7 @@ from ..core.skinning.presets import DEFAULT_PRESET, PRESETS
 from ..core.splats.axes import UP_AXES
 from ..core.worker.runtime_choice import BACKENDS as TORCH_BACKENDS
 
-VERSION = "0.1.0"
+VERSION = "0.2.0"
 TRAINING_STEPS = 500
 TRAINING_CREATURES = 480
 TRAINING_NETWORKS = 3

@@ -14,7 +14,7 @@ from ..core.job.progress_text import ProgressPrinter
 from ..core.worker import runtime_folder as folders
 from ..core.worker.runtime_choice import MIRROR, PIP, WHEELS, Choice, Source, find_backend, parse_source
 from ..core.worker.runtime_client import RuntimeClient
-from .console import say
+from .console import print_message
 
 
 def run(options: argparse.Namespace) -> None:
@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> None:
 
 def _status(folder: Path) -> None:
     status = folders.look(folder)
-    say(f"{status.state.capitalize()}: {status.sentence.rstrip('.')} ('{folder}').")
+    print_message(f"{status.state.capitalize()}: {status.sentence.rstrip('.')} ('{folder}').")
     if not status.usable:
         raise InputError("There is no working learning runtime; `gskin runtime install` makes one.")
 
@@ -39,7 +39,7 @@ def _remove(folder: Path, agreed: bool) -> None:
     if not agreed:
         raise InputError(f"This deletes '{folder}'; say --yes to do it.")
     folders.remove(folder)
-    say(f"The learning runtime in '{folder}' was removed.")
+    print_message(f"The learning runtime in '{folder}' was removed.")
 
 
 def _install(folder: Path, options: argparse.Namespace) -> None:
@@ -55,12 +55,12 @@ def _install(folder: Path, options: argparse.Namespace) -> None:
     blender = sys.modules.get("bpy")
     if blender is not None and source.needs_network and not blender.app.online_access:
         raise InputError("Blender's online access is off; start it with --online-mode, or use --wheels FOLDER.")
-    say(
+    print_message(
         f"torch for {choice.backend.title}: about {choice.download / 1000:.1f} GB to fetch ({source.sentence}), "
         f"{choice.disk / 1000:.1f} GB on the disk in '{folder}'."
     )
     for line in choice.licences:
-        say(f"  {line}")
+        print_message(f"  {line}")
     client = RuntimeClient(action, folder, choice, options.base or "")
     printer = ProgressPrinter(options.progress)
     client.start()
@@ -69,8 +69,8 @@ def _install(folder: Path, options: argparse.Namespace) -> None:
     finally:
         printer.close()
         if options.verbose:
-            say("\n".join(client.log))
-    say(sentence)
+            print_message("\n".join(client.log))
+    print_message(sentence)
 
 
 def _source(options: argparse.Namespace) -> Source:

@@ -94,6 +94,7 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
         """Blender ends the operator: another file is loaded, the window closes."""
         self._job.cancel()
         self._leave(context)
+        running_job.end("")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Without a window, and for scripts: run the job to its end, progress printed."""

@@ -33,10 +33,18 @@ class GSKIN_OT_remove_runtime(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
-            self.report({"INFO"}, learning_runtime.remove(context))
+            learning_runtime.remove(context)
+            return self._finish()
         except GSkinError as error:
             self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
+
+    def _finish(self) -> set[str]:
+        """In a window the files go in the background; without one they are waited for. Raises GSkinError."""
+        if not bpy.app.background:
+            learning_runtime.follow()
+            return {"FINISHED"}
+        self.report({"INFO"}, learning_runtime.wait_for_removal())
         return {"FINISHED"}
 
 

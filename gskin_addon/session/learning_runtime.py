@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -32,9 +33,10 @@ _TICK = 0.2
 
 @dataclass
 class State:
-    """The installation that runs, if one does, and the last one's outcome in a sentence."""
+    """The installation or removal that runs, if one does, and the last one's outcome in a sentence."""
 
     client: RuntimeClient | None = None
+    removal: threading.Thread | None = None
     outcome: str = ""
     failed: bool = False
     log: list[str] = field(default_factory=list)
@@ -65,7 +67,7 @@ def status(context: bpy.types.Context) -> RuntimeStatus:
 
 def remedy(context: bpy.types.Context) -> Remedy | None:
     """Why guidance cannot compute yet and which click mends it; None where the runtime will do or is on its way."""
-    if state.client is not None:
+    if state.client is not None or state.removal is not None:
         return None
     now = status(context)
     if now.state == "missing":
@@ -111,15 +113,22 @@ def start(context: bpy.types.Context, action: Literal["install", "repair"], back
 
 
 def check_idle() -> None:
-    """Raise InputError while an installation or a job is under way."""
+    """Raise InputError while an installation, a removal or a job is under way."""
     if state.client is not None:
         raise InputError("The learning runtime is being installed: wait for it or cancel it")
+    if state.removal is not None:
+        raise InputError("The learning runtime is being removed: wait for it")
     if running_job.state.job is not None:
         raise InputError("Auto-Skin is running: wait for it or cancel it")
 
 
 def step() -> bool:
-    """Take in what the installation said; True while it runs. Never waits."""
+    """Take in what the installation said, or whether the removal is done; True while one runs. Never waits."""
+    if state.removal is not None:
+        if state.removal.is_alive():
+            return True
+        state.removal = None
+        forget()
     client = state.client
     if client is None:
         return False
@@ -155,14 +164,38 @@ def cancel() -> None:
         state.client.cancel()
 
 
-def remove(context: bpy.types.Context) -> str:
-    """Delete the runtime and return a sentence. Raises InputError, GSkinError."""
+def remove(context: bpy.types.Context) -> None:
+    """Start deleting the runtime, in a thread: there are tens of thousands of files.
+
+    Raises:
+        InputError: there is none of ours, or it is busy. GSkinError: the folder cannot be written.
+    """
     check_idle()
     folder = runtime_folder(context)
-    folders.remove(folder)
+    folders.give_up(folder)
+    state.outcome, state.failed = "", False
+    # Ends with Blender: what is left then is removed by the next click.
+    state.removal = threading.Thread(target=_remove, args=(folder,), name="gskin-remove", daemon=True)
+    state.removal.start()
     forget()
-    state.outcome, state.failed = f"The learning runtime in '{folder}' was removed.", False
+
+
+def wait_for_removal() -> str:
+    """Wait until the files are gone, for scripts; returns its sentence. Raises GSkinError where some stay."""
+    if state.removal is not None:
+        state.removal.join()
+    step()
+    if state.failed:
+        raise GSkinError(state.outcome)
     return state.outcome
+
+
+def _remove(folder: Path) -> None:
+    try:
+        folders.remove(folder)
+        state.outcome, state.failed = f"The learning runtime in '{folder}' was removed.", False
+    except GSkinError as error:
+        state.outcome, state.failed = str(error), True
 
 
 def forget() -> None:
@@ -176,7 +209,7 @@ def stop() -> None:
     cancel()
     if bpy.app.timers.is_registered(_tick):
         bpy.app.timers.unregister(_tick)
-    state.client, state.outcome, state.failed, state.log = None, "", False, []
+    state.client, state.removal, state.outcome, state.failed, state.log = None, None, "", False, []
     forget()
 
 

@@ -24,6 +24,9 @@ def draw_runtime(layout: bpy.types.UILayout, context: bpy.types.Context, *, mana
     if client is not None:
         _draw_installation(layout, client, width)
         return
+    if learning_runtime.state.removal is not None:
+        _draw_text(layout, "Removing the learning runtime ...", "TIME", width)
+        return
     outcome = learning_runtime.state.outcome
     if outcome and (manage or learning_runtime.state.failed):
         _draw_text(layout, outcome, "ERROR" if learning_runtime.state.failed else "INFO", width)

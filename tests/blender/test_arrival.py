@@ -165,6 +165,14 @@ def test_a_chosen_colour_mode_stays(tmp_path):
     assert solid_view().color_type == "RANDOM"
 
 
+def test_huge_splats_are_not_cut_off(tmp_path):
+    cloud = figure()
+    cloud.means[:] *= 5000
+    space = next(s for a in bpy.context.screen.areas for s in a.spaces if s.type == "VIEW_3D")
+    obj = arrive(tmp_path, cloud, frame=True)
+    assert space.clip_end >= 5 * max(obj.dimensions) > 1000
+
+
 def test_an_outcome_ends_with_its_file():
     end("Skinned 'S'", failed=True, details="trace")
     bpy.ops.wm.read_homefile(use_empty=True)

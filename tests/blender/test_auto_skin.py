@@ -103,6 +103,14 @@ def test_settings_offer_what_the_core_has(scene):
     assert offered("init") == {"learned", "visibility", "geodesic", "heat"}
 
 
+def add_mesh():
+    mesh = bpy.data.meshes.new("Body")
+    mesh.from_pydata([(0, 0, 0), (1, 0, 0), (0, 0, 1)], [], [(0, 1, 2)])
+    obj = bpy.data.objects.new("Body", mesh)
+    bpy.context.scene.collection.objects.link(obj)
+    return obj
+
+
 def test_poll_says_what_is_missing(scene, monkeypatch, tmp_path):
     context = bpy.context
     assert "No splats are chosen" in what_is_missing(context)
@@ -126,7 +134,11 @@ def test_poll_says_what_is_missing(scene, monkeypatch, tmp_path):
     assert "nothing" in what_is_missing(context)
     preferences._found.clear()
     monkeypatch.setattr(preferences, "find_worker_python", lambda preference: None)
-    scene.gskin.guidance = "elastic"  # the default needs no torch
+    monkeypatch.delenv("GSKIN_PYTHON")
+    assert what_is_missing(context) == "", "the default needs nothing but Blender"
+    scene.gskin.guidance = "elastic"
+    assert "No Python with torch" in what_is_missing(context)
+    scene.gskin.guidance, scene.gskin.proxy = "none", add_mesh()
     assert "No Python with torch" in what_is_missing(context)
 
 

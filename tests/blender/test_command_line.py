@@ -70,6 +70,8 @@ def files(tmp_path_factory):
     bpy.ops.export_scene.fbx(filepath=str(folder / "rig.fbx"), add_leaf_bones=False)
     (folder / "broken.glb").write_bytes(b"glTF but not really")
     (folder / "broken.blend").write_bytes(b"BLENDER but not really")
+    # A header of a kind that no Blender of today knows.
+    (folder / "newer.blend").write_bytes(b"BLENDER17-99v0999" + bytes(200))
     return folder
 
 
@@ -161,6 +163,7 @@ def test_armatures_of_every_kind(name, files, pretended, tmp_path):
         (["--armature", "rod.ply"], ".fbx"),
         (["--armature", "broken.glb"], "broken.glb"),
         (["--armature", "broken.blend"], "broken.blend"),
+        (["--armature", "newer.blend"], "as .glb or .fbx from the newer one"),
         (["--armature", "two.blend"], "--armature-name"),
         (["--armature", "two.blend", "--armature-name", "Third"], "'Other'"),
         (["--armature", "still.blend"], "Deform"),

@@ -7,6 +7,7 @@ import functools
 import os
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -53,20 +54,25 @@ def folder(tmp_path, monkeypatch):
             bpy.context.preferences.addons.remove(addon)
 
 
+ICONS = set(bpy.types.UILayout.bl_rna.functions["label"].parameters["icon"].enum_items.keys())
+
+
 class Layout:
     """Writes down what is drawn: texts, properties, operators."""
 
     def __init__(self, drawn: list[str] | None = None) -> None:
         self.drawn = [] if drawn is None else drawn
 
-    def label(self, *, text: str, **look) -> None:
+    def label(self, *, text: str, icon: str = "NONE") -> None:
+        assert icon in ICONS
         self.drawn.append(text)
 
     def prop(self, owner, name: str, **look) -> None:
         assert name in owner.bl_rna.properties
         self.drawn.append(name)
 
-    def operator(self, name: str, **look) -> None:
+    def operator(self, name: str, *, text: str = "", icon: str = "NONE") -> None:
+        assert icon in ICONS
         group, _, word = name.partition(".")
         assert word in dir(getattr(bpy.ops, group))
         self.drawn.append(name)
@@ -177,6 +183,36 @@ def test_remove(folder):
     assert bpy.ops.gskin.remove_runtime() == {"FINISHED"}
     assert not folder.exists()
     assert learning_runtime.status(bpy.context).state == "missing"
+    assert "was removed" in drawn(manage=True)
+
+
+def test_removing_holds_nobody_up(folder, monkeypatch):
+    assert bpy.ops.gskin.install_runtime(backend="cpu") == {"FINISHED"}
+    go_on, remove = threading.Event(), folders.delete
+    monkeypatch.setattr(folders, "delete", lambda path: (go_on.wait(10), remove(path)))
+    began = time.monotonic()
+    learning_runtime.remove(bpy.context)
+    assert time.monotonic() - began < 0.2
+    assert learning_runtime.step()
+    assert "Removing" in drawn()
+    assert not bpy.ops.gskin.install_runtime.poll()
+    assert preferences.worker_python(bpy.context)[0] != folders.python_in(folder)
+    go_on.set()
+    wait_for_end()
+    assert not folder.exists()
+    assert bpy.ops.gskin.install_runtime.poll()
+
+
+def test_what_cannot_be_deleted_is_said(folder, monkeypatch):
+    assert bpy.ops.gskin.install_runtime(backend="cpu") == {"FINISHED"}
+
+    def refuse(path):
+        raise PermissionError(13, "in use", str(path))
+
+    monkeypatch.setattr(folders.shutil, "rmtree", refuse)
+    with pytest.raises(RuntimeError, match=r"cannot be deleted \(in use\)"):
+        bpy.ops.gskin.remove_runtime()
+    assert learning_runtime.status(bpy.context).state == "broken"
 
 
 def test_a_failure_is_shown_with_its_log(folder, monkeypatch):

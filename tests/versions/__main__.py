@@ -17,11 +17,11 @@ from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "tools"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 from version_venv import PYTHONS, Missing, make
 
+ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("tests/blender", "tests/versions")
 
 

@@ -8,7 +8,7 @@ from ..job.settings import JobSettings
 from ..render.camera import PAPER_AZIMUTHS
 from ..skinning.subset import LIMIT
 from .eta import Eta
-from .work import default_kinds, rendering_kinds
+from .work_kinds import default_kinds, rendering_kinds
 
 STARTING = 1.0
 """Seconds until the worker has loaded numpy and the job, and the weights are in the scene again."""

@@ -65,7 +65,7 @@ class WorkerClient:
     ) -> None:
         """isolated: the worker sees nothing of the user's own Python packages and PYTHON... variables.
 
-        gentle: the worker gives way to other programs, so that a window stays quick while it runs.
+        gentle: the worker runs at low priority, so that a window stays responsive meanwhile.
 
         allow_download: the person agreed, for this run, to fetch models that are missing.
         """
@@ -123,7 +123,7 @@ class WorkerClient:
         lines.start()
 
     def poll(self) -> list[ProgressEvent]:
-        """What the worker said since the last call; moves `state` on. Never waits."""
+        """The worker's progress since the last call; updates `state`. Never waits."""
         events: list[ProgressEvent] = []
         while True:
             try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The Python that this program runs in, as one that can be started: it does the jobs that need numpy only."""
+"""The Python that this program runs in, as an executable: it runs the jobs that need numpy only."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ last checkpoint.
 `process.py --warm` compiles what jobs need into the user's cache instead.
 
 Started by its path, it loads the package around it, wherever that lies and whatever its folder is called, and
-leaves sys.path alone. Only syntax of old Pythons here: the check of the version must get to run.
+leaves sys.path alone. Only syntax of old Pythons here, so that the check of the version can run.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
         )
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # idle threads must not take the artist's cores
     # numpy reads these when it loads. Its threads spin while they wait, and cost a job on small matrices several times
-    # the core-seconds that they save; the job has threads of its own. torch does not heed them.
+    # the core-seconds that they save; the job has threads of its own. torch ignores them.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("VECLIB_MAXIMUM_THREADS", "1")
     os.environ.setdefault("NUMBA_CACHE_DIR", user_cache("numba"))

@@ -85,7 +85,7 @@ BACKENDS = {
         Backend("apple", "Apple (Metal)", "", 100, 450, ("darwin",)),
     )
 }
-_REST_DOWNLOAD, _REST_DISK = 130, 450
+_REST_DOWNLOAD, _REST_DISK = 125, 450
 _DIFFUSION_DOWNLOAD, _DIFFUSION_DISK = 35, 260
 
 

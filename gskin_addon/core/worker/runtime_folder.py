@@ -29,7 +29,7 @@ MANIFEST, LOG, ENVIRONMENT, SCRATCH = "runtime.json", "install.log", "env", "tmp
 _LOCK = "runtime.lock"
 _PROGRAM = "gskin learning runtime"
 
-State = Literal["missing", "installing", "broken", "outdated", "ready"]
+State = Literal["missing", "installing", "removing", "broken", "outdated", "ready"]
 
 
 def runtime_folder(preference: str = "") -> Path:
@@ -95,6 +95,8 @@ def look(folder: Path) -> RuntimeStatus:
         return RuntimeStatus("broken", folder, f"'{path}' is not gskin's; choose another folder for the runtime.")
     if manifest.get("state") != "ready":
         if _held(folder):
+            if manifest.get("state") == "removing":
+                return RuntimeStatus("removing", folder, "The learning runtime is being removed.", manifest)
             return RuntimeStatus("installing", folder, "The learning runtime is being installed.", manifest)
         return RuntimeStatus(
             "broken", folder, "The learning runtime is not complete; install it again to go on.", manifest
@@ -146,19 +148,27 @@ def require_ours(folder: Path) -> None:
 def remove(folder: Path) -> None:
     """Delete the runtime in `folder`: what an installation makes there and the folder itself once empty.
 
+    Takes seconds to minutes, for there are tens of thousands of files.
+
     Raises:
         InputError: there is none of ours there, or it is being installed. GSkinError: files that cannot be deleted.
     """
-    manifest = _read(folder)
-    if manifest is None or manifest.get("program") != _PROGRAM:
-        raise InputError(f"There is no learning runtime of gskin's in '{folder}'; nothing was deleted.")
+    give_up(folder)
     with runtime_lock(folder):
-        write_manifest(folder, "removing", {})
         for name in (ENVIRONMENT, SCRATCH, LOG, MANIFEST):
             delete(folder / name)
     with contextlib.suppress(OSError):  # another file of the person's keeps the folder
         (folder / _LOCK).unlink(missing_ok=True)
         folder.rmdir()
+
+
+def give_up(folder: Path) -> None:
+    """Mark the runtime in `folder` for removal: no job takes it from now on. Raises as `remove`."""
+    manifest = _read(folder)
+    if manifest is None or manifest.get("program") != _PROGRAM:
+        raise InputError(f"There is no learning runtime of gskin's in '{folder}'; nothing was deleted.")
+    with runtime_lock(folder):
+        write_manifest(folder, "removing", {})
 
 
 def delete(path: Path) -> None:

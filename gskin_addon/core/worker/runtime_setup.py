@@ -15,12 +15,17 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import json
 import sys
 from pathlib import Path
 
 
 def main() -> int:
     """Run what the command line says; returns the exit code."""
+    if importlib.util.find_spec("numpy") is None:  # Blender's own Python has it
+        sentence = f"The Python '{sys.executable}' lacks numpy, which gskin needs; name another one."
+        print(json.dumps({"stage": "error", "error": sentence, "exit_code": 2}), flush=True)
+        return 2
     spec = importlib.util.spec_from_file_location("gskin_process", Path(__file__).with_name("process.py"))
     assert spec is not None
     assert spec.loader is not None

@@ -52,7 +52,7 @@ def find_tools(choice: Choice) -> Tools:
         )
     if not own:
         raise InputError(
-            f"Blender's Python '{sys.executable}' can make no environment (venv or ensurepip is missing); "
+            f"The Python '{sys.executable}' can make no environment (venv or ensurepip is missing); "
             "install python3-venv (Debian, Ubuntu: sudo apt install python3-venv) or uv, then try again."
         )
     return Tools(

@@ -8,7 +8,7 @@ from without import output_without
 
 from gskin_addon.core.job.settings import JobSettings
 from gskin_addon.core.pipeline.estimate import estimate_seconds, in_words
-from gskin_addon.core.pipeline.work import CHECKS, checks_of
+from gskin_addon.core.pipeline.work_kinds import CHECKS, checks_of
 from gskin_addon.core.skinning.presets import PRESETS
 
 

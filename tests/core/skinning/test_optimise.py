@@ -93,7 +93,7 @@ def test_restored_run_with_pruning_and_held_out_poses(task, monkeypatch):
                 optimiser.check()
 
     whole = make(task, **held)
-    assert whole.looks == {0, 4}  # 24 images in batches of 8: 12 iterations are 4 epochs
+    assert whole.visibility_updates == {0, 4}  # 24 images in batches of 8: 12 iterations are 4 epochs
     go(whole, 14)
     broken = make(task, **held)
     go(broken, 7)

@@ -463,6 +463,13 @@ def test_the_program_starts_alone_and_isolated(tmp_path):
     assert not (tmp_path / "r").exists()
 
 
+def test_a_python_without_numpy_says_so(tmp_path):
+    command = [sys.executable, "-I", "-S", str(PROGRAM), "install", f"--folder={tmp_path / 'r'}", "--backend", "cpu"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert "lacks numpy" in json.loads(done.stdout)["error"]
+
+
 def test_the_base_is_a_python_and_not_blender(monkeypatch):
     assert runtime_client.base_python() == sys.executable
     monkeypatch.setattr(runtime_client.sys, "executable", "/opt/blender/blender")
