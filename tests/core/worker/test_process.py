@@ -278,9 +278,27 @@ def test_runs_as_a_module(tmp_path):
     assert "does not exist" in json.loads(run.stdout.splitlines()[-1])["error"]
 
 
+def test_the_default_job_needs_numpy_only(tmp_path):
+    folder = jobs.make_job(tmp_path / "job")
+    bare = tmp_path / "modules"
+    bare.mkdir()
+    for name in ("numpy", "numpy.libs"):
+        site = Path(np.__file__).parents[1] / name
+        if site.exists():
+            (bare / name).symlink_to(site, target_is_directory=True)
+    run = subprocess.run(
+        [sys.executable, "-S", PROGRAM, "--compute", folder],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        env={**os.environ, "PYTHONPATH": str(bare)},
+    )
+    assert run.returncode == 0, run.stderr
+    assert is_finished(folder)
+
+
 def test_interpreter_without_torch(tmp_path):
     # -S hides what is installed; a path with links to all needed modules but torch shows the rest.
-    folder = jobs.make_job(tmp_path / "job")
+    folder = jobs.make_job(tmp_path / "job", guidance="elastic")
     bare = tmp_path / "modules"
     bare.mkdir()
     for name in ("numpy", "scipy", "numba", "llvmlite", "numpy.libs", "scipy.libs"):
