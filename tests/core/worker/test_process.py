@@ -293,7 +293,7 @@ def test_the_default_job_needs_numpy_only(tmp_path):
         env={**os.environ, "PYTHONPATH": str(bare)},
     )
     assert run.returncode == 0, run.stderr
-    assert is_finished(folder)
+    assert contract.is_finished(folder)
 
 
 def test_interpreter_without_torch(tmp_path):
