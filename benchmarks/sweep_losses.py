@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks.dev_assets import DEV, GUIDANCE, SCHEDULE, Case, case
 from gskin_addon.core.skinning.fields.pyramid import SparsePyramid
 from gskin_addon.core.skinning.losses import LossWeights
-from gskin_addon.core.skinning.optimise import Optimiser
+from gskin_addon.core.skinning.optimise import LearningOptions, Optimiser
 
 BASE: dict[str, Any] = {"arap": 0.02, "coupling": 20.0, "anchor": 0.0, "arap_neighbours": 30}
 """Where the sweep began; what is not here is as in `LossWeights`."""
@@ -70,7 +70,7 @@ def learned(problem: Case, change: dict[str, Any]) -> float:
         SparsePyramid(problem.cloud.means, problem.initial),
         problem.targets,
         preset,
-        losses=replace(LossWeights(), **options),
+        options=LearningOptions(losses=replace(LossWeights(), **options)),
     )
     for _ in range(preset.iterations):
         optimiser.step()

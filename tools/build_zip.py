@@ -12,6 +12,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -33,9 +34,23 @@ def main() -> int:
     """Build and validate; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=ROOT / "dist", help="folder for the archive")
-    out = parser.parse_args().out.absolute()
+    try:
+        print(build(parser.parse_args().out))
+    except subprocess.CalledProcessError as problem:
+        return problem.returncode
+    return 0
+
+
+def build(out: Path) -> Path:
+    """The archive, made in a folder and validated.
+
+    Raises:
+        CalledProcessError: Blender's tool refused the source or the archive; it has said why.
+    """
+    out = out.absolute()
     out.mkdir(parents=True, exist_ok=True)
-    tool = [sys.executable, str(extension_tool())]
+    manifest = tomllib.loads((ROOT / "gskin_addon" / "blender_manifest.toml").read_text())
+    archive = out / f"{manifest['id']}-{manifest['version']}.zip"
     with tempfile.TemporaryDirectory() as scratch:
         # A clean copy keeps caches and editor droppings out; the licence travels with the code.
         source = Path(scratch) / "gskin_addon"
@@ -43,20 +58,15 @@ def main() -> int:
             ROOT / "gskin_addon", source, ignore=shutil.ignore_patterns("__pycache__", "*.pyc", ".*")
         )
         shutil.copy2(ROOT / "LICENSE", source / "LICENSE")
-        for arguments in (
-            ["validate", str(source)],
-            ["build", "--source-dir", str(source), "--output-dir", str(out)],
-        ):
-            if code := subprocess.call([*tool, *arguments]):
-                return code
-    archives = sorted(out.glob("gskin_addon-*.zip"), key=lambda path: path.stat().st_mtime)
-    if not archives:
-        print(f"No archive appeared in {out}; the lines above say why.", file=sys.stderr)
-        return 1
-    if code := subprocess.call([*tool, "validate", str(archives[-1])]):
-        return code
-    print(archives[-1])
-    return 0
+        run_tool("validate", str(source))
+        run_tool("build", "--source-dir", str(source), "--output-filepath", str(archive))
+    run_tool("validate", str(archive))
+    return archive
+
+
+def run_tool(*words: str) -> None:
+    """Blender's extension tool with these words; its own words go to stderr."""
+    subprocess.run([sys.executable, str(extension_tool()), *words], check=True, stdout=sys.stderr)
 
 
 if __name__ == "__main__":

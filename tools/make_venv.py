@@ -18,6 +18,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import TextIO
 
 ROOT = Path(__file__).resolve().parents[1]
 EXTRAS = "worker,blender,mesh,diffusion,bench,dev"
@@ -190,9 +191,9 @@ def runs(command: list[str]) -> bool:
         return False
 
 
-def say(message: str) -> None:
+def say(message: str, stream: TextIO | None = None) -> None:
     """One line for the person who waits."""
-    print(f"set-up: {message}", flush=True)
+    print(f"set-up: {message}", file=stream, flush=True)
 
 
 def fail(message: str) -> int:

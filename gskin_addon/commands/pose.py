@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from ..core.errors import InputError
 from ..core.splats.ply import write_ply
 from .blender import require_bpy
-from .console import say
+from .console import print_message
 from .paths import check_output, same_file
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> None:
         export_glb(options.out, [obj])
     else:
         rig_files.save_blend(options.out)
-    say(f"'{obj.name}' is posed in '{options.out}'.")
+    print_message(f"'{obj.name}' is posed in '{options.out}'.")
 
 
 def open_posed(options: argparse.Namespace) -> bpy.types.Object:

@@ -20,13 +20,14 @@ from ..core.job.mesh_files import read_mesh
 from ..core.job.progress import ProgressEvent
 from ..core.job.progress_text import ProgressPrinter
 from ..core.job.settings import JobSettings
+from ..core.job.up_axis import resolve_up
 from ..core.splats.axes import rotate_cloud, up_rotation
 from ..core.splats.cleanup import clamp_aspect, find_faint_giants, find_strays, isotropic
 from ..core.splats.cloud import SplatCloud
 from ..core.splats.ply import read_ply
 from ..core.worker.own_python import job_python
 from .blender import require_bpy
-from .console import say
+from .console import print_message
 from .paths import check_output, same_file
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def run(options: argparse.Namespace) -> None:
     for given in (options.armature, options.splats, *([options.mesh] if options.mesh else [])):
         if same_file(given, options.out):
             raise InputError(f"--out '{options.out}' would overwrite its own input; choose another name.")
-    cloud = read_splats(options.splats, options.ply_up, options.drop_invalid)
+    cloud = read_splats(options.splats, options.drop_invalid)
     cloud = clean(cloud, options.drop_strays, options.max_aspect, options.isotropic)
     mesh = None if options.mesh is None else read_proxy(options.mesh, options.mesh_up)
 
@@ -66,14 +67,18 @@ def run(options: argparse.Namespace) -> None:
 
     require_bpy()
     from ..scene import names, rig_files
+    from ..scene.armature import read_skeleton
     from ..scene.proxy_object import create_mesh_object
     from ..scene.splat_object import create_splat_object
     from ..session.skin_job import SkinJob
 
     rig_files.empty_scene()
     armature = rig_files.import_armature(options.armature, options.armature_name)
-    splats = create_splat_object(cloud, options.splats.stem)
-    splats.data[names.MARK]["up"] = options.ply_up
+    up, assumed = resolve_up(options.ply_up, cloud, read_skeleton(armature))
+    if assumed:
+        print_message(f"'{options.splats}': {assumed}.")
+    splats = create_splat_object(rotate_cloud(cloud, up_rotation(up)), options.splats.stem)
+    splats.data[names.MARK]["up"] = up
     proxy = None if mesh is None else create_mesh_object(options.mesh.stem, *mesh)
     # glTF knows no anchors: there the splats keep weights of their own, blended from the mesh's.
     anchored = options.out.suffix.lower() == ".blend"
@@ -96,11 +101,11 @@ def run(options: argparse.Namespace) -> None:
                 shutil.copyfile(job.client.folder / WEIGHTS, temporary)
         sentence = job.apply()
         _save(options.out, splats)
-    say(f"{sentence}, in '{options.out}'.")
+    print_message(f"{sentence}, in '{options.out}'.")
 
 
-def read_splats(path: Path, up: str, drop_invalid: bool) -> SplatCloud:
-    """The splats of a .ply in Blender's world axes; says how many were dropped."""
+def read_splats(path: Path, drop_invalid: bool) -> SplatCloud:
+    """The splats of a .ply with the file's own axes; says how many were dropped."""
     if path.suffix.lower() != ".ply":
         raise InputError(f"'{path}' is no .ply file; export the splats as a Gaussian splat .ply.")
     if not path.is_file():
@@ -108,8 +113,8 @@ def read_splats(path: Path, up: str, drop_invalid: bool) -> SplatCloud:
     splats = read_ply(path, drop_invalid=drop_invalid)
     dropped = splats.total - splats.cloud.count
     if dropped:
-        say(f"'{path}': {dropped:,} invalid splats of {splats.total:,} were left out.")
-    return splats.cloud if up == "z" else rotate_cloud(splats.cloud, up_rotation(up))
+        print_message(f"'{path}': {dropped:,} invalid splats of {splats.total:,} were left out.")
+    return splats.cloud
 
 
 def read_proxy(path: Path, up: str | None) -> tuple[Any, Any]:
@@ -123,11 +128,12 @@ def clean(cloud: SplatCloud, drop_strays: bool, max_aspect: float, balls: bool) 
     """The splats without what deforms badly; says how many were changed."""
     if drop_strays:
         strays, giants = find_strays(cloud), find_faint_giants(cloud)
-        say(f"{strays.sum():,} strays and {giants.sum():,} faint giants of {cloud.count:,} splats were left out.")
+        counts = f"{strays.sum():,} strays and {giants.sum():,} faint giants of {cloud.count:,} splats"
+        print_message(f"{counts} were left out.")
         cloud = cloud.select(~(strays | giants))
     if max_aspect:
         cloud, needles = clamp_aspect(cloud, max_aspect)
-        say(f"{needles.sum():,} needles of {cloud.count:,} splats were widened.")
+        print_message(f"{needles.sum():,} needles of {cloud.count:,} splats were widened.")
     return isotropic(cloud) if balls else cloud
 
 

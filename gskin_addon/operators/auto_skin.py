@@ -94,6 +94,7 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
         """Blender ends the operator: another file is loaded, the window closes."""
         self._job.cancel()
         self._leave(context)
+        running_job.end("")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Without a window, and for scripts: run the job to its end, progress printed."""
@@ -137,13 +138,13 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
     def _fail(self, context: bpy.types.Context, error: GSkinError) -> set[str]:
         self._leave(context)
         details = getattr(error, "traceback", "")
-        running_job.end(str(error), failed=not isinstance(error, Cancelled), details=details)
+        running_job.end(error.plain, failed=not isinstance(error, Cancelled), details=details)
         if isinstance(error, Cancelled):
-            self.report({"WARNING"}, str(error))
+            self.report({"WARNING"}, error.plain)
         else:
             if details:
                 print(details)
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
         return {"CANCELLED"}
 
     def _leave(self, context: bpy.types.Context) -> None:
@@ -175,5 +176,9 @@ class GSKIN_OT_cancel_auto_skin(bpy.types.Operator):
 CLASSES = (GSKIN_OT_auto_skin, GSKIN_OT_cancel_auto_skin)
 
 
+def register() -> None:
+    running_job.register()
+
+
 def unregister() -> None:
-    running_job.stop()
+    running_job.unregister()

@@ -51,7 +51,7 @@ class GSKIN_OT_load_weights(bpy.types.Operator, ImportHelper):
                 confidence=result.confidence,
             )
         except GSkinError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
         words = f"{len(result.weights):,} splats follow {len(result.bones)} bones of '{armature.name}'"
         self.report({"INFO"}, words)
@@ -75,7 +75,7 @@ class GSKIN_OT_bind_to_armature(bpy.types.Operator):
             bind(splats, armature)
             update_rotation_weights(splats)
         except GSkinError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
         still, total = splats_without_bones(splats), splat_count(splats)
         if still:
@@ -108,7 +108,7 @@ class GSKIN_OT_update_rotation_weights(bpy.types.Operator):
         try:
             update_rotation_weights(chosen_splats(context))
         except GSkinError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
         return {"FINISHED"}
 

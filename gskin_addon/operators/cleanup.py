@@ -63,7 +63,7 @@ class GSKIN_OT_select_bad_splats(_Finder, bpy.types.Operator):
             )
             show_selected(context, obj, bad)
         except GSkinError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
         self.report({"INFO"}, _sentence(counts, splat_count(obj), "selected"))
         return {"FINISHED"}
@@ -124,7 +124,7 @@ class GSKIN_OT_clean_splats(_Finder, bpy.types.Operator):
                     remove_splats(obj, bad)
             needles = reshape_splats(obj, max_aspect=self.max_aspect, balls=self.balls)
         except GSkinError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
         words = _sentence(counts, total, "put aside" if self.action == "ASIDE" else "removed")
         if self.max_aspect:

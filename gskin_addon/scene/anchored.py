@@ -21,6 +21,7 @@ from . import names
 from .anchor_nodes import MESH_INPUT, PROXY_INPUT, anchor_group, find_anchor
 from .attributes import ObjectData, read_attribute, read_positions, write_attribute, write_positions
 from .bone_frames import armature_modifier
+from .helpers import hide_helper
 from .node_builder import add_modifier, get_input, set_input
 from .node_groups import find_display
 from .rotation_nodes import find_rotation
@@ -173,5 +174,5 @@ def _anchor_mesh(name: str, verts: Array, faces: Array) -> bpy.types.Object:
         rows.data.foreach_set("vector", values)
     helper = bpy.data.objects.new(mesh.name, mesh)
     helper[names.ANCHOR_MARK] = True
-    helper.hide_render = helper.hide_select = True
+    hide_helper(helper)
     return helper

@@ -20,6 +20,7 @@ import numpy as np
 from . import names
 from .armature import deform_bone_names, read_skeleton
 from .attributes import write_positions
+from .helpers import hide_helper
 
 
 def ensure_bone_frames(armature: bpy.types.Object) -> bpy.types.Object:
@@ -71,7 +72,7 @@ def _create(armature: bpy.types.Object) -> bpy.types.Object:
     write_positions(mesh, skeleton.heads[:, None] + corners)
     frames = bpy.data.objects.new(mesh.name, mesh)
     frames[names.FRAMES_MARK] = True
-    frames.hide_render = frames.hide_select = True
+    hide_helper(frames)
     for index, bone in enumerate(skeleton.names):
         frames.vertex_groups.new(name=bone).add(range(4 * index, 4 * index + 4), 1.0, "REPLACE")
     modifier: Any = frames.modifiers.new(names.ARMATURE_MODIFIER, "ARMATURE")

@@ -83,7 +83,7 @@ class SplatExport:
                 cloud = rotate_cloud(cloud, gltf.blender_to_gltf())
             _add_splats(gltf2_mesh, cloud)
         except GSkinError as error:
-            export_settings["log"].error(str(error), popup=True)
+            export_settings["log"].error(error.plain, popup=True)
             _failures.append(error)
 
 

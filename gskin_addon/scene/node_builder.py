@@ -72,6 +72,20 @@ class Tree:
         """A named attribute of a geometry, by Blender's attribute type."""
         return self.out("GeometryNodeInputNamedAttribute", "Attribute", {"Name": name}, data_type=kind)
 
+    def store(self, geometry: Value, name: str, kind: str, value: Value) -> Value:
+        """The geometry with a field stored on its points as a named attribute."""
+        inputs = {"Geometry": geometry, "Name": name, "Value": value}
+        return self.out("GeometryNodeStoreNamedAttribute", "Geometry", inputs, data_type=kind, domain="POINT")
+
+    def object_geometry(self, obj: Value) -> Value:
+        """An object's evaluated geometry in its own space."""
+        return self.out("GeometryNodeObjectInfo", "Geometry", {"Object": obj}, transform_space="ORIGINAL")
+
+    def domain_size(self, geometry: Value, component: str) -> Value:
+        """The number of points of a mesh or point cloud."""
+        inputs = {"Geometry": geometry}
+        return self.out("GeometryNodeAttributeDomainSize", "Point Count", inputs, component=component)
+
 
 def geometry_group(name: str, version: int, inputs: list[tuple[str, str, dict[str, Any]]]) -> tuple[Any, bool]:
     """The geometry node group of this name and version, and whether it is new and still empty.

@@ -49,7 +49,7 @@ def open_blend(path: Path) -> None:
     try:
         bpy.ops.wm.open_mainfile(filepath=str(path.absolute()), load_ui=False, use_scripts=False)
     except RuntimeError as error:
-        raise InputError(f"'{path}' cannot be opened as a .blend ({_reason(error)}); save it again.") from error
+        raise InputError(f"'{path}' cannot be opened as a .blend ({_reason(error)}); {_remedy(error)}.") from error
 
 
 def find_splats(path: Path, name: str | None = None) -> bpy.types.Object:
@@ -74,7 +74,7 @@ def _append(path: Path) -> None:
             target.objects = list(source.objects)
             target.actions = list(source.actions)
     except (OSError, RuntimeError, ValueError) as error:
-        raise InputError(f"'{path}' cannot be read as a .blend ({_reason(error)}); save it again.") from error
+        raise InputError(f"'{path}' cannot be read as a .blend ({_reason(error)}); {_remedy(error)}.") from error
     for action in target.actions:
         if action is not None:
             action.use_fake_user = True
@@ -137,6 +137,13 @@ def _remove_others(armature: bpy.types.Object, added: list[bpy.types.Object]) ->
             bpy.data.objects.remove(obj)
     data: Any = bpy.data
     data.orphans_purge(do_local_ids=True, do_linked_ids=True, do_recursive=True)
+
+
+def _remedy(error: BaseException) -> str:
+    # Blender 4.4 and older cannot read a single word of what 5.0 writes.
+    if "newer version of Blender" in str(error):
+        return f"this is Blender {bpy.app.version_string}: export the armature as .glb or .fbx from the newer one"
+    return "save it again"
 
 
 def _reason(error: BaseException) -> str:

@@ -25,6 +25,9 @@ from .transforms import world_similarity
 
 VERSION = 1
 
+_PLACES = 64
+"""Splats whose places tell whether the positions were turned or scaled without the other attributes."""
+
 
 def create_splat_object(
     cloud: SplatCloud, name: str, *, collection: bpy.types.Collection | None = None, display: bool = True
@@ -119,7 +122,29 @@ def _write_columns(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
         if kind is not None:
             write_attribute(mesh, names.EXTRA.format(column), kind, values)
             kept.append(column)
+    mark = mesh.get(names.MARK)
+    up = None if mark is None else mark.get("up")
     mesh[names.MARK] = {"version": VERSION, "sh_degree": cloud.sh_degree, "extra": "\n".join(kept)}
+    if up is not None:
+        mesh[names.MARK]["up"] = up
+    remember_places(mesh)
+
+
+def remember_places(mesh: bpy.types.Mesh) -> None:
+    """Store where a few splats are, as a sign that all attributes fit these positions (see `follow_transforms.py`)."""
+    count = len(mesh.vertices)
+    index = np.linspace(0, count - 1, min(count, _PLACES)).astype(int)
+    places = np.array([mesh.vertices[i].co for i in index.tolist()], dtype=np.float64)
+    mesh[names.PLACES] = {"count": count, "index": index.tolist(), "points": places.ravel().tolist()}
+
+
+def reference_points(mesh: bpy.types.Mesh) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Stored and present positions (k, 3) of a few splats; None where none are stored for this number of splats."""
+    stored = mesh.get(names.PLACES)
+    if stored is None or stored["count"] != len(mesh.vertices):
+        return None
+    now = np.array([mesh.vertices[i].co for i in stored["index"]], dtype=np.float64)
+    return np.array(stored["points"], dtype=np.float64).reshape(-1, 3), now
 
 
 def _kind_of(values: NDArray[Any]) -> str | None:

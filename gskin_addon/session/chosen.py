@@ -8,10 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import bpy
 
+from ..scene.anchored import proxy_of
+from ..scene.proxy_object import followed_armature
 from ..scene.splat_object import is_splat_object
 
 if TYPE_CHECKING:
     from .properties import GSkinSettings
+
+
+_last = 0
+"""Session id of the splats chosen last."""
 
 
 def panel_settings(context: bpy.types.Context) -> GSkinSettings:
@@ -39,11 +45,20 @@ def is_proxy(settings: GSkinSettings, obj: bpy.types.Object) -> bool:
 
 
 def chosen_splats(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The splat object of the settings, else the active or the only selected one."""
+    """The splat object of the settings, else the active or the only selected one, else that of the active rig.
+
+    While a rig (or the mesh that splats hang on) is posed, the click is still about its splats; where it moves
+    several, about those chosen last.
+    """
+    global _last
     settings = panel_settings(context)
     if settings.splats is not None and is_splats(settings, settings.splats):
-        return settings.splats
-    return _selected(context, is_splat_object)
+        found: bpy.types.Object | None = settings.splats
+    else:
+        found = _selected(context, is_splat_object) or _carried_by_active(context)
+    if found is not None:
+        _last = found.session_uid
+    return found
 
 
 def chosen_armature(context: bpy.types.Context) -> bpy.types.Object | None:
@@ -66,6 +81,20 @@ def proxy_mesh(context: bpy.types.Context) -> bpy.types.Object | None:
     """The proxy mesh of the settings, where it is still in the scene."""
     settings = panel_settings(context)
     return settings.proxy if settings.proxy is not None and is_proxy(settings, settings.proxy) else None
+
+
+def _carried_by_active(context: bpy.types.Context) -> bpy.types.Object | None:
+    active = context.view_layer.objects.active
+    if active is None or is_splat_object(active) or active.type not in {"ARMATURE", "MESH"}:
+        return None
+    carried = [obj for obj in context.scene.objects if is_splat_object(obj) and active in _carriers(obj)]
+    if len(carried) > 1:
+        carried = [obj for obj in carried if obj.session_uid == _last]
+    return carried[0] if len(carried) == 1 else None
+
+
+def _carriers(splats: bpy.types.Object) -> tuple[bpy.types.Object | None, ...]:
+    return followed_armature(splats), proxy_of(splats)
 
 
 def _selected(context: bpy.types.Context, fits: Callable[[bpy.types.Object], bool]) -> bpy.types.Object | None:

@@ -57,8 +57,9 @@ def _model(name: str, description: str) -> Any:
 
 
 def _folder(name: str, description: str) -> Any:
-    # From 5.0 on Blender wants to be told that // is understood; before, it does not know the word.
-    options: Any = {"ANIMATABLE", "PATH_SUPPORTS_BLEND_RELATIVE"} if bpy.app.version >= (5, 0, 0) else {"ANIMATABLE"}
+    # From 4.5 on Blender wants to be told that // is understood; before, it does not know the word.
+    relative = "is_path_supports_blend_relative" in bpy.types.Property.bl_rna.properties
+    options: Any = {"ANIMATABLE", "PATH_SUPPORTS_BLEND_RELATIVE"} if relative else {"ANIMATABLE"}
     return bpy.props.StringProperty(name=name, description=description, subtype="DIR_PATH", options=options)
 
 

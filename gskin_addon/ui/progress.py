@@ -9,6 +9,7 @@ from typing import Any
 import bpy
 
 from ..core.job.progress_text import time_left
+from ..session.confidence import sure_share
 from ..session.running_job import state
 
 
@@ -33,6 +34,16 @@ def draw(layout: bpy.types.UILayout, width: int) -> None:
             icon = "BLANK1"
         if state.details:
             box.label(text="The details are in the system console", icon="BLANK1")
+
+
+def draw_confidence(layout: bpy.types.UILayout, splats: bpy.types.Object | None) -> None:
+    """A bar of how many splats have sure weights, and the click that shows the others; nothing where none knows."""
+    share = None if splats is None else sure_share(splats)
+    if share is None:
+        return
+    row = layout.row(align=True)
+    row.progress(factor=share, text=f"{share:.0%} of the splats are sure")
+    row.operator("gskin.select_unsure_splats", text="", icon="RESTRICT_SELECT_OFF")
 
 
 def wrap(text: str, width: int) -> list[str]:

@@ -18,6 +18,7 @@ import pretend
 import pytest
 import worker_jobs as jobs
 from mathutils import Matrix
+from needs import WORKER, only_with
 from patience import wait_until
 from pretend import add_armature
 
@@ -102,6 +103,14 @@ def test_settings_offer_what_the_core_has(scene):
     assert offered("init") == {"learned", "visibility", "geodesic", "heat"}
 
 
+def add_mesh():
+    mesh = bpy.data.meshes.new("Body")
+    mesh.from_pydata([(0, 0, 0), (1, 0, 0), (0, 0, 1)], [], [(0, 1, 2)])
+    obj = bpy.data.objects.new("Body", mesh)
+    bpy.context.scene.collection.objects.link(obj)
+    return obj
+
+
 def test_poll_says_what_is_missing(scene, monkeypatch, tmp_path):
     context = bpy.context
     assert "No splats are chosen" in what_is_missing(context)
@@ -125,6 +134,11 @@ def test_poll_says_what_is_missing(scene, monkeypatch, tmp_path):
     assert "nothing" in what_is_missing(context)
     preferences._found.clear()
     monkeypatch.setattr(preferences, "find_worker_python", lambda preference: None)
+    monkeypatch.delenv("GSKIN_PYTHON")
+    assert what_is_missing(context) == "", "the default needs nothing but Blender"
+    scene.gskin.guidance = "elastic"
+    assert "No Python with torch" in what_is_missing(context)
+    scene.gskin.guidance, scene.gskin.proxy = "none", add_mesh()
     assert "No Python with torch" in what_is_missing(context)
 
 
@@ -349,7 +363,8 @@ def test_too_few_splats(scene):
 
 def test_armature_that_lies_along_another_axis(scene):
     armature = add_armature((("a", (0, 0, 0), (0, -1, 0)), ("b", (0, -1, 0), (0, -2, 0))))
-    start_fails("'Rig' does not overlap 'Rod'.*--ply-up", add_rod(), armature)
+    start_fails("'Rig' does not overlap 'Rod'.*Up set to -?Y", add_rod(), armature)
+    assert "--" not in running_job.state.outcome
 
 
 def test_armature_elsewhere(scene):
@@ -371,6 +386,7 @@ def test_interpreter_without_torch(scene, tmp_path, monkeypatch):
     preferences._found.clear()
     monkeypatch.setattr(skin_job, "WorkerClient", WorkerClient)  # the real program
     start_fails(r"lacks .*pip install", add_rod(), add_armature())
+    assert "GSKIN_PYTHON" not in running_job.state.outcome
 
 
 def test_disk_full(scene, monkeypatch):
@@ -528,6 +544,7 @@ def test_what_is_said_of_time():
     assert time_left(3900) == "1 h 05 min left"
 
 
+@only_with(*WORKER)
 def test_the_real_worker_end_to_end(scene, monkeypatch):
     monkeypatch.setattr(skin_job, "WorkerClient", WorkerClient)
     splats, armature = add_rod(count=400), add_armature()

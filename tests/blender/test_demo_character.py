@@ -9,6 +9,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
+from needs import WORKER, missing
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -26,6 +27,8 @@ def demo():
 
 @pytest.fixture(scope="module")
 def brindle(demo):
+    if reason := missing(*WORKER):
+        pytest.skip(reason)
     return demo["character"].build()
 
 

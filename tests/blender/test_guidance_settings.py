@@ -64,6 +64,11 @@ def test_only_what_differs_from_the_defaults_goes_into_the_job(scene, tmp_path):
     JobSettings.parse(scene.gskin.as_job())
 
 
+def test_a_folder_beside_the_scene_raises_no_warning(scene, recwarn):
+    scene.gskin.models.flux_repair.model = "//klein/"
+    assert [str(warning.message) for warning in recwarn if "relative" in str(warning.message)] == []
+
+
 def test_lightning_drag_takes_a_root_and_other_places(scene):
     scene.gskin.guidance = "lightning_drag"
     drag = scene.gskin.models.lightning_drag

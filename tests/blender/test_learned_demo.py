@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from needs import WORKER, needs
 
-pytest.importorskip("bpy")
+needs("bpy", *WORKER)
 
 from gskin_addon.core.rig.kinematics import pose_transforms
 from gskin_addon.core.rig.lbs import skin_points

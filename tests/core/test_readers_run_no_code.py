@@ -41,8 +41,9 @@ from gskin_addon.core.training.guidance.pairs import PairDataset, encode_image
 from gskin_addon.core.training.guidance.tune_state import OLD_STATE, STATE, load_state
 from gskin_addon.core.training.guidance.validate import load_lpips
 from gskin_addon.core.training.prior.examples import read_mesh_asset
-from gskin_addon.core.training.prior.samples import Lesson, asset_lesson, lesson_file
-from gskin_addon.core.training.prior.train import Schedule, Syllabus, Trainer
+from gskin_addon.core.training.prior.samples import TrainingSample, asset_sample, sample_file
+from gskin_addon.core.training.prior.sampling_plan import SamplingPlan
+from gskin_addon.core.training.prior.train import Schedule, Trainer
 from gskin_addon.core.training.rigged import load_asset
 from tests.helpers.limb import make_limb
 
@@ -221,8 +222,8 @@ def test_checkpoints(put):
 
 
 def test_checkpoints_of_a_training_of_the_prior(put, tmp_path):
-    lesson = asset_lesson(write_tube(tmp_path / "tube.npz"), "tube", 0, tmp_path)
-    trainer = Trainer(Syllabus({"tubes": {"tube": [lesson]}}), Schedule(steps=2))
+    sample = asset_sample(write_tube(tmp_path / "tube.npz"), "tube", 0, tmp_path)
+    trainer = Trainer(SamplingPlan({"tubes": {"tube": [sample]}}), Schedule(steps=2))
     with pytest.raises(InputError, match=r"0\.checkpoint"):
         trainer.restore(put("m.0.checkpoint"))
 
@@ -234,14 +235,14 @@ def test_checkpoints_of_a_training_of_guidance(put):
             load_state(path.parent, {})
 
 
-def test_lessons(put, tmp_path):
-    with pytest.raises(InputError, match=r"lesson\.npz"):
-        Lesson.load(put("lesson.npz"))
-    # In the cache such a file is no lesson, and one is made in its place.
-    cached = lesson_file(put("x").parent, "tube", 0)
+def test_samples(put, tmp_path):
+    with pytest.raises(InputError, match=r"sample\.npz"):
+        TrainingSample.load(put("sample.npz"))
+    # In the cache such a file is no sample, and one is made in its place.
+    cached = sample_file(put("x").parent, "tube", 0)
     shutil.copy(put("x"), cached)
-    assert asset_lesson(write_tube(tmp_path / "tube.npz"), "tube", 0, cached.parent) == cached
-    Lesson.load(cached)
+    assert asset_sample(write_tube(tmp_path / "tube.npz"), "tube", 0, cached.parent) == cached
+    TrainingSample.load(cached)
 
 
 def test_assets(put, tmp_path):

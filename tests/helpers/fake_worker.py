@@ -54,11 +54,14 @@ def act(cloud: Any, skeleton: Any, settings: dict[str, Any], progress: Any, chec
                 time.sleep(0.01)
                 progress("step", step / 10, {}, str(step))
         settings = {"first": first}
+    weights = np.zeros((cloud.count, skeleton.count), np.float32)
+    weights[:, 0] = 1.0
+    if what == "heights":  # from bone 0 to bone 1 along the last tenth below and the first above bone 1's head
+        share = np.clip((cloud.means[:, 2] - skeleton.heads[1, 2]) / 0.2 + 0.5, 0, 1)
+        weights[:, 0], weights[:, 1] = 1 - share, share
     print("chatter on stdout")
     os.system("echo chatter of a child")
     progress("steps", 0.5, {"l1": 0.25, "bad": float("nan")}, "half")
-    weights = np.zeros((cloud.count, skeleton.count), np.float32)
-    weights[:, 0] = 1.0
     report = {"settings": settings, "loss": np.float32(0.5), "curve": np.array([1.0, np.inf])}
     previews = {"rest": np.full((4, 6, 3), 0.5)}
     on_mesh = None

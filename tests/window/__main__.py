@@ -1,80 +1,86 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`python tests/window`: install the zip in a real Blender, play tests/window/session.py in its window, judge it.
+"""`python tests/window`: install the zip in real Blenders, play tests/window/session.py in their windows, judge it.
 
-The Blender is $BLENDER, or one that Debian has, made once in build/blender-SUITE (needs root). The pictures go to
---out; with --pictures the best of them also to docs/images.
+The Blender is $BLENDER, else both that Debian has (4.3 and 5.2), made once in build/blender-SUITE (needs root); after
+these the 3D view of bpy 5.3 is drawn off screen. The pictures go to out/window-SUITE; with --pictures the best of
+them, from the last Blender, also to docs/images.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+
+from blenders import SUITES, Blender, find_blenders
+from installing import check_repository
+from judging import Check, judge
+from offscreen import VERSION, check_viewport
+from version_venv import Missing, make
+
 ROOT = Path(__file__).resolve().parents[2]
-DEBIAN = ROOT / "tools" / "debian_blender.sh"
 PICTURES = {"01_panel": "panel", "03_progress_60": "progress", "05_posed": "posed"}
 SCREEN = "-screen 0 1600x900x24"
-
-
-class Blender:
-    """A Blender program: on this machine, or in a Debian of its own."""
-
-    def __init__(self, program: str, debian: Path | None) -> None:
-        self.program, self.debian = program, debian
-
-    def run(self, words: list[str], environment: dict[str, str], timeout: float) -> int:
-        """Run a command where Blender is; returns its exit code."""
-        if self.debian is None:
-            return subprocess.call(words, env={**os.environ, **environment}, timeout=timeout, cwd=ROOT)
-        command = [str(DEBIAN), "run", str(self.debian)]
-        for path in self._shown():
-            command += ["-b", str(path)]
-        command += ["--", *(f"{name}={value}" for name, value in environment.items()), *words]
-        return subprocess.call(command, timeout=timeout, cwd=ROOT)
-
-    def _shown(self) -> list[Path]:
-        # The folder of the project at its own place, and the Python that its environment is built on.
-        base = Path(sys.base_prefix)
-        return [ROOT] if base == Path("/usr") else [ROOT, base]
+LONGEST = 3600
+"""Seconds after which a session is given up, on however busy a machine."""
 
 
 def main() -> int:
     """Everything from the zip to the verdict; returns the exit code."""
     parser = argparse.ArgumentParser(prog="make test-window", description=__doc__.splitlines()[0])
-    parser.add_argument("--suite", default="sid", help="Debian's sid has Blender 5.2, trixie 4.3 (default: sid)")
+    parser.add_argument("--suite", action="append", choices=SUITES, help="only this Debian (default: both)")
     parser.add_argument("--demo", type=Path, default=ROOT / "out" / "demo", help="where `make demo` wrote")
-    parser.add_argument("--out", type=Path, help="folder for pictures and result (default: out/window-SUITE)")
+    parser.add_argument("--out", type=Path, default=ROOT / "out", help="pictures and results go below (default: out)")
     parser.add_argument("--preset", default="standard", help="preset of the job (default: standard)")
     parser.add_argument("--background", action="store_true", help="only what needs no window")
+    parser.add_argument("--viewport", action="store_true", help=f"only the 3D view of bpy {VERSION}")
     parser.add_argument("--pictures", action="store_true", help="renew docs/images")
     options = parser.parse_args()
-    out = (options.out or ROOT / "out" / f"window-{options.suite}").absolute()
-    shutil.rmtree(out, ignore_errors=True)
-    out.mkdir(parents=True)
-
-    blender = find_blender(options.suite)
-    archive = build_zip(out)
     splats, rig = sample(options.demo.absolute())
+    blenders = [] if options.viewport else find_blenders(options.suite)
+    verdicts: dict[str, list[Check] | str] = {}
+    for blender in blenders:
+        out = fresh(options.out.absolute() / f"window-{blender.name}")
+        print(f"\nBlender of {blender.name}", flush=True)
+        verdicts[f"Blender of {blender.name}"] = play(blender, out, splats, rig, options)
+    if not (options.background or options.suite or os.environ.get("BLENDER")):
+        verdicts[f"3D view of bpy {VERSION}"] = check_viewport(fresh(options.out.absolute() / "viewport"), splats)
+    print()
+    for name, checks in verdicts.items():
+        if isinstance(checks, str):
+            print(f"{name}: {checks}")
+        else:
+            failed = [what for what, good, _ in checks if not good]
+            print("\n  ".join([f"{name}: {len(checks) - len(failed)} passed, {len(failed)} failed", *failed]))
+    good = all(all(check[1] for check in checks) for checks in verdicts.values() if not isinstance(checks, str))
+    return 0 if good else 1
+
+
+def play(blender: Blender, out: Path, splats: Path, rig: Path, options: argparse.Namespace) -> list[Check]:
+    """Install the extension in a Blender, try it without a window and in one; returns all that was checked."""
+    archive = build_zip(out)
     user = out / "user"
     user.mkdir()
     environment = {
         "BLENDER_USER_RESOURCES": str(user),
-        "GSKIN_PYTHON": str(worker_python()),
+        # This interpreter runs the worker: it has torch.
+        "GSKIN_PYTHON": sys.executable,
         "LIBGL_ALWAYS_SOFTWARE": "1",
     }
     install = [blender.program, "--command", "extension", "install-file", "-r", "user_default", "-e", str(archive)]
-    if blender.run(install, environment, 120) != 0:
-        return say("Blender did not install the extension; its words are above.", 1)
+    if blender.run(install, environment, LONGEST) != 0:
+        return [("Blender installs the extension", False, "its words are above")]
     plain = [blender.program, "-b", "--python-exit-code", "1", "--python", str(ROOT / "tests/window/background.py")]
-    if blender.run([*plain, "--", "--out", str(out), "--splats", str(splats)], environment, 300) != 0:
-        return say("The extension fails without a window; Blender's words are above.", 1)
+    if blender.run([*plain, "--", "--out", str(out), "--splats", str(splats)], environment, LONGEST) != 0:
+        return [("the extension works without a window", False, "Blender's words are above")]
+    first: list[Check] = [("the extension works without a window", True, ""), check_repository(blender, out, LONGEST)]
     if options.background:
-        return 0
+        return first
     session = [
         *("xvfb-run", "-a", "-s", SCREEN, blender.program),
         *("--window-geometry", "0", "0", "1600", "900", "--python", str(ROOT / "tests/window/session.py"), "--"),
@@ -82,22 +88,19 @@ def main() -> int:
     ]
     # After Blender is gone a worker may live for a second; then none may be left.
     after = f'"$@"; code=$?; sleep 1.5; pgrep -af "core/worker/process.py.*" > {out}/left.txt; exit $code'
-    code = blender.run(["sh", "-c", after, "sh", *session], environment, 1500)
-    return judge(out, code, options.pictures)
-
-
-def find_blender(suite: str) -> Blender:
-    """$BLENDER, or Debian's."""
-    named = os.environ.get("BLENDER", "")
-    if named:
-        for program in (named, "xvfb-run", "xdotool", "import"):
-            if shutil.which(program) is None:
-                raise SystemExit(f"'{program}' cannot be run; BLENDER= needs xvfb, xdotool and imagemagick here.")
-        return Blender(named, None)
-    debian = ROOT / "build" / f"blender-{suite}"
-    if subprocess.call([str(DEBIAN), "setup", suite, str(debian)]) != 0:
-        raise SystemExit(2)
-    return Blender("blender", debian)
+    code = blender.run(["sh", "-c", after, "sh", *session], environment, LONGEST)
+    played = judge(out)
+    if played is None:
+        return [*first, ("the session comes to its end", False, f"Blender ended with {code}; its words are above")]
+    checks = [*first, *played]
+    if code != 0:
+        checks.append(("Blender ends well", False, f"exit code {code}"))
+    if options.pictures and all(good for _, good, _ in checks):
+        images = ROOT / "docs" / "images"
+        images.mkdir(parents=True, exist_ok=True)
+        for shot, name in PICTURES.items():
+            shutil.copyfile(out / f"{shot}.png", images / f"{name}.png")
+    return checks
 
 
 def build_zip(out: Path) -> Path:
@@ -111,41 +114,27 @@ def sample(demo: Path) -> tuple[Path, Path]:
     splats, rig = demo / "brindle.ply", demo / "brindle_rig.blend"
     if not (splats.is_file() and rig.is_file()):
         subprocess.check_call([sys.executable, "-m", "demo", "--out", str(demo), "--character-only"], cwd=ROOT)
-    return splats, rig
+    return splats, readable(rig)
 
 
-def worker_python() -> Path:
-    """This interpreter runs the worker: it has torch."""
-    return Path(sys.executable)
+def readable(rig: Path) -> Path:
+    """The rig as Blender 4.3 reads it too: 4.5 reads what 5.0 writes, and writes what 4.3 reads."""
+    old = rig.with_name(f"{rig.stem}_old.blend")
+    if not old.is_file() or old.stat().st_mtime < rig.stat().st_mtime:
+        code = "import bpy, sys; bpy.ops.wm.open_mainfile(filepath=sys.argv[1])"
+        code += "; bpy.ops.wm.save_as_mainfile(filepath=sys.argv[2])"
+        try:
+            subprocess.check_call([make("4.5"), "-c", code, rig, old], stdout=sys.stderr)
+        except Missing as problem:
+            raise SystemExit(f"The sample's rig cannot be saved for Blender 4.3: {problem}") from problem
+    return old
 
 
-def judge(out: Path, code: int, renew: bool) -> int:
-    """Print what was checked and measured; returns the exit code."""
-    path = out / "result.json"
-    if not path.is_file():
-        return say(f"Blender ended (exit code {code}) before the session did; its words are above.", 1)
-    result = json.loads(path.read_text())
-    left = (out / "left.txt").read_text().split("\n")
-    left = [line for line in left if line and "pgrep" not in line and "sh -c" not in line]
-    result["checks"].append(["closing Blender stops the worker", not left, "; ".join(left)])
-    for what, good, seen in result["checks"]:
-        print(f"{'ok  ' if good else 'FAIL'}  {what}" + (f": {seen}" if seen else ""))
-    for name, value in result["numbers"].items():
-        print(f"{name:>28}  {value:.4g}")
-    failed = sum(not good for _, good, _ in result["checks"])
-    if renew and not failed:
-        images = ROOT / "docs" / "images"
-        images.mkdir(parents=True, exist_ok=True)
-        for shot, name in PICTURES.items():
-            shutil.copyfile(out / f"{shot}.png", images / f"{name}.png")
-    print(f"{len(result['checks']) - failed} passed, {failed} failed")
-    return 1 if failed or code != 0 else 0
-
-
-def say(sentence: str, code: int) -> int:
-    """One sentence for the person, and the exit code."""
-    print(sentence, file=sys.stderr)
-    return code
+def fresh(folder: Path) -> Path:
+    """An empty folder."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    return folder
 
 
 if __name__ == "__main__":

@@ -15,8 +15,11 @@ from typing import Any
 import bpy
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+from figure import TURNS, armature, distance_weights
+
 ADDON = "bl_ext.user_default.gskin_addon"
-TURNS = {"upper_arm": (0, -60, 20), "spine": (20, 0, 15), "head": (0, 10, 40)}
 
 
 def part(name: str) -> Any:
@@ -36,6 +39,7 @@ def main() -> None:
     splats, rig = bpy.context.view_layer.objects.active, armature()
     cloud = part("scene.splat_object").read_cloud(splats)
     part("scene.weights").write_weights(splats, rig, distance_weights(cloud.means, rig), list(TURNS))
+    learn(cloud, rig)
     part("scene.posing").turn_bones(rig, TURNS)
     compare(splats, "posed")
     path = options.out / "background.blend"
@@ -52,33 +56,26 @@ def main() -> None:
     assert not hasattr(bpy.types, "GSKIN_OT_auto_skin"), "unregistering left an operator"
     module.enable(ADDON)
     assert hasattr(bpy.types, "GSKIN_OT_auto_skin"), "registering again failed"
-    print(f"ok    {bpy.app.version_string}: import, bind, pose, save, load, off and on again")
+    python = "Python {}.{}".format(*sys.version_info)
+    print(f"ok    {bpy.app.version_string}, {python}: import, bind, pose, save, load, off and on again")
 
 
-def armature() -> Any:
-    """Three bones about where the sample character has them."""
-    rig = bpy.data.objects.new("Rig", bpy.data.armatures.new("Rig"))
-    bpy.context.scene.collection.objects.link(rig)
-    bpy.context.view_layer.objects.active = rig
-    bpy.ops.object.mode_set(mode="EDIT")
-    places = {
-        "spine": ((0, 0, 0.6), (0, 0, 1.0), None),
-        "head": ((0, 0, 1.1), (0, 0, 1.5), "spine"),
-        "upper_arm": ((0.13, 0, 0.97), (0.6, 0, 0.65), "spine"),
-    }
-    for name, (head, tail, parent) in places.items():
-        bone = rig.data.edit_bones.new(name)
-        bone.head, bone.tail = head, tail
-        bone.parent = rig.data.edit_bones[parent] if parent else None
-    bpy.ops.object.mode_set(mode="OBJECT")
-    return rig
-
-
-def distance_weights(points: np.ndarray, rig: Any) -> np.ndarray:
-    """Soft weights (N, bones) by distance to the bones' middles."""
-    middles = np.array([(rig.data.bones[name].head_local + rig.data.bones[name].tail_local) / 2 for name in TURNS])
-    near = np.exp(-8 * np.linalg.norm(points[:, None] - middles, axis=2))
-    return (near / near.sum(axis=1, keepdims=True)).astype(np.float32)
+def learn(cloud: Any, rig: Any) -> None:
+    """The default weights in Blender's own Python, which has numpy and no more; said where they need more so far."""
+    try:
+        predict = part("core.skinning.learned.predict")
+    except ModuleNotFoundError as error:
+        if error.name not in ("torch", "numba", "scipy"):
+            raise
+        print(f"skip  learned weights in Blender's own Python: {error}")
+        return
+    weights, _ = predict.learned_weights(cloud, part("scene.armature").read_skeleton(rig))
+    assert weights.shape == (cloud.count, len(TURNS))
+    assert np.abs(weights.sum(axis=1) - 1).max() < 1e-4
+    head = cloud.means[:, 2] > 1.3
+    column = part("scene.armature").read_skeleton(rig).names.index("head")
+    assert weights[head, column].mean() > 0.8, "the head's splats do not follow the head"
+    print(f"ok    learned weights in Blender's own Python, {cloud.count} splats")
 
 
 def compare(splats: Any, when: str) -> None:

@@ -25,7 +25,7 @@ from stage import Hands, Stage, Story, View
 
 ADDON = "bl_ext.user_default.gskin_addon"
 FROZEN = 0.1
-"""Seconds for which Blender may not answer while a job runs."""
+"""Seconds for which Blender may not answer while a job runs, on a machine that has nothing else to do."""
 SHOTS = (0.08, 0.35, 0.6, 0.85)
 POSE = {
     "upper_arm.L": (0, -45, 10), "forearm.L": (0, -58, 0), "hand.L": (0, -14, 0),
@@ -44,7 +44,8 @@ def part(name: str) -> ModuleType:
 
 def story(stage: Stage, options: argparse.Namespace) -> Story:
     """All chapters, one after the other."""
-    hands, view = Hands(options.out), View()
+    view = View()
+    hands = Hands(options.out, view, stage.views)
     yield from arrive(stage, hands, view)
     yield from bring_in(stage, hands, view, options)
     yield from change_of_mind(stage, hands, view)
@@ -61,6 +62,7 @@ def arrive(stage: Stage, hands: Hands, view: View) -> Story:
     stage.chapter = "arrive"
     yield 1.0
     stage.numbers["load_before"] = os.getloadavg()[0]
+    stage.numbers["python"] = float("{}.{}".format(*sys.version_info))
     stage.numbers["blender"] = float(".".join(map(str, bpy.app.version[:2])))
     stage.check("a window is open", not bpy.app.background and len(bpy.context.window_manager.windows) == 1)
     size = view.window.width, view.window.height
@@ -144,7 +146,7 @@ def change_of_mind(stage: Stage, hands: Hands, view: View) -> Story:
             asked = time.monotonic()
         yield lambda process=process: process.poll() is not None and not running()
         took = stage.numbers[f"cancel_{way}_s"] = time.monotonic() - asked
-        stage.check(f"cancelled within a second ({way})", took < 1.0, f"{took:.2f} s")
+        stage.check_time(f"cancelled within a second ({way})", took, 1.0, stage.pace.mean(asked))
         stage.check("a cancelled job leaves the scene alone", untouched(find_splats()))
         yield 0.5
     yield from hands.shoot("02_cancelled")
@@ -190,20 +192,26 @@ def auto_skin(stage: Stage, hands: Hands, view: View) -> Story:
         stage.numbers[f"{chapter}_longest_gap_s"] = float(gaps.max())
         stage.numbers[f"{chapter}_p99_gap_s"] = float(np.quantile(gaps, 0.99))
         stage.numbers[f"{chapter}_late_beats"] = int((gaps > FROZEN).sum())
+        stage.numbers[f"{chapter}_longest_busy_s"] = max(stage.busy(chapter), default=0.0)
     # The last calls write the weights, in slices; they belong to the finish.
     looks, writes = modal[:looked], modal[looked:]
     stage.numbers["operator_tick_longest_s"] = max(looks, default=0.0)
     stage.numbers["write_back_s"] = sum(writes)
     stage.numbers["write_back_longest_s"] = max(writes, default=0.0)
     stage.numbers["panel_draw_longest_s"] = max(panel, default=0.0)
-    stage.check("the operator's own time is short", max(looks, default=9.0) < 0.02, f"{max(looks, default=9.0):.4f} s")
+    for chapter in ("control", "job"):
+        stage.numbers[f"{chapter}_pace_mean"] = stage.pace.mean(*stage.chapter_times(chapter))
+    pace = stage.numbers["job_pace_worst"] = stage.pace.worst(*stage.chapter_times("job"))
     stage.numbers["job_view_redraws"] = stage.redraws["job"]
-    # On a machine that others keep busy a window drawn by the processor is late without us: no verdict then.
-    longest, load = stage.numbers["job_longest_gap_s"], stage.numbers["load_before"]
-    busy = load > 0.5 * (os.cpu_count() or 1)
-    seen = f"{longest:.3f} s" + (f", not judged: load {load:.1f} before we began" if busy else "")
-    stage.check(f"the window never froze for {FROZEN} s while the job ran", longest <= FROZEN or busy, seen)
-    stage.check("the side bar is drawn quickly", max(panel, default=9.0) < 0.05, f"{max(panel):.4f} s")
+    stage.check_time("the operator's own time is short", max(looks, default=9.0), 0.02, pace)
+    stage.check_time("the side bar is drawn quickly", max(panel, default=9.0), 0.05, pace)
+    longest = stage.numbers["job_longest_gap_s"]
+    stage.check_time("the window never froze while the job ran", longest, FROZEN, pace)
+    # What the main thread itself worked tells more on a busy machine, where even an idle window may not get its turn.
+    busy, pace = stage.numbers["job_longest_busy_s"], stage.pace.busy(*stage.chapter_times("job"))
+    stage.check_time("nor was its main thread kept busy", busy, FROZEN, pace)
+    pace = stage.pace.worst(*stage.chapter_times("finish"))
+    stage.check_time("nor in any step of writing the weights", max(writes, default=9.0), FROZEN, pace)
     stage.check("the 3D view is not drawn again for the bar", stage.redraws["job"] < 5, stage.redraws["job"])
     outcome = part("session.running_job").state
     stage.check("the job ended well", not outcome.failed and "follow" in outcome.outcome, outcome.outcome)
@@ -221,11 +229,11 @@ def undo_and_redo(stage: Stage, hands: Hands, view: View) -> Story:
     stage.chapter = "undo"
     yield from hands.move(*view.middle())
     yield from hands.keys("ctrl+z")
-    yield 1.0
+    yield stage.soon(lambda: untouched(find_splats()))
     stage.check("one undo takes it all back", untouched(find_splats()), describe(find_splats()))
     stage.check("and leaves the splats and the armature", find_splats() is not None and find_rig() is not None)
     yield from hands.keys("ctrl+shift+z")
-    yield 1.0
+    yield stage.soon(lambda: len(find_splats().vertex_groups) >= 20)
     stage.check("one redo brings it back", len(find_splats().vertex_groups) >= 20, describe(find_splats()))
 
 
@@ -235,7 +243,7 @@ def pose(stage: Stage, hands: Hands, view: View) -> Story:
     rig = find_rig()
     before = drawn_points(find_splats())
     part("scene.posing").turn_bones(rig, POSE)
-    yield 1.0
+    yield stage.pause(1.0)
     moved_as_computed(stage, find_splats(), before, "posed")
     times = []
     for angle in (4.0, -4.0, 4.0, -4.0):
@@ -248,14 +256,14 @@ def pose(stage: Stage, hands: Hands, view: View) -> Story:
     with view.override():
         bpy.ops.object.mode_set(mode="POSE")
     yield from hands.move(*view.middle())
-    yield 1.0
+    yield stage.pause(1.0)
     yield from hands.shoot("05_posed")
     view.space.overlay.show_overlays = False
-    yield 0.5
+    yield stage.pause(0.5)
     yield from hands.shoot("06_posed_clean")
     for kind, name in (("MATERIAL", "07_posed_material"),):
         view.space.shading.type = kind
-        yield 20.0  # the software driver compiles shaders for that long
+        yield stage.pause(20.0)  # the software driver compiles shaders for that long
         yield from hands.shoot(name)
     view.space.shading.type, view.space.overlay.show_overlays = "SOLID", True
     with view.override():
@@ -269,12 +277,12 @@ def save_and_reload(stage: Stage, hands: Hands, view: View, out: Path) -> Story:
     before = drawn_points(find_splats())
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
     bpy.ops.wm.open_mainfile(filepath=str(path))
-    yield 1.5
+    yield stage.pause(1.5)
     splats = find_splats()
     after = drawn_points(splats)
     stage.check("the pose is the same after reloading", np.abs(after - before).max() < 1e-5)
     part("scene.posing").turn_bones(find_rig(), {"upper_arm.R": (0, 60, 0), "thigh.R": (-40, 0, 0)})
-    yield 1.0
+    yield stage.pause(1.0)
     moved_as_computed(stage, splats, after, "reloaded")
     yield from hands.shoot("08_reloaded")
 
@@ -289,14 +297,14 @@ def drop(stage: Stage, hands: Hands, view: View, options: argparse.Namespace) ->
         bpy.ops.wm.drop_import_file(
             "INVOKE_DEFAULT", directory=str(splats.parent), files=[{"name": splats.name}]
         )
-    yield 1.0
+    yield stage.pause(1.0)
     yield from hands.shoot("09_dropped")
     if len(all_splats()) == count:
         yield from hands.keys("g")
-        yield 1.0
+        yield stage.pause(1.0)
         yield from hands.shoot("10_drop_options")
         yield from hands.keys("Return")
-        yield 1.5
+        yield stage.soon(lambda: len(all_splats()) == count + 1)
     stage.check("a dropped file becomes a splat object", len(all_splats()) == count + 1, len(all_splats()))
     yield from hands.shoot("11_drop_done")
 
@@ -312,10 +320,10 @@ def leave_in_the_middle(stage: Stage, view: View) -> Story:
         bpy.ops.gskin.auto_skin("INVOKE_DEFAULT")
     yield running
     process = part("session.running_job").state.job.client._process
-    yield 1.0
+    yield stage.pause(1.0)
     asked = time.monotonic()
     bpy.ops.wm.open_mainfile(filepath=bpy.data.filepath)
-    yield lambda: process.poll() is not None or time.monotonic() - asked > 5
+    yield stage.soon(lambda: process.poll() is not None, 5.0)
     stage.numbers["load_file_stops_worker_s"] = time.monotonic() - asked
     stage.check("loading another file stops the worker", process.poll() is not None)
     stage.check("and nothing is said to run", not running())

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import bpy
+from pace import Pace
 
 BEAT = 0.02
 """Seconds between two beats of the heart: Blender's event loop calls it unless something holds the loop up."""
@@ -26,9 +27,11 @@ class Stage:
 
     def __init__(self, out: Path, patience: float = 300.0) -> None:
         self.out, self.patience = out, patience
+        self.pace = Pace(out / "pace.txt")
         self.checks: list[tuple[str, bool, str]] = []
         self.numbers: dict[str, float] = {}
-        self.beats: list[tuple[float, str]] = []
+        self.views: dict[str, tuple[int, int, int, int]] = {}
+        self.beats: list[tuple[float, str, float]] = []
         self.chapter = ""
         self.redraws: Counter[str] = Counter()
         self._story: Story | None = None
@@ -46,16 +49,40 @@ class Stage:
         self.checks.append((what, bool(good), str(seen)))
         print(f"{'ok  ' if good else 'FAIL'} {what}" + (f": {seen}" if str(seen) else ""), flush=True)
 
+    def check_time(self, what: str, seconds: float, bar: float, pace: float) -> None:
+        """Note whether something took no longer than `bar` seconds of a quiet machine, at the pace of its time."""
+        self.check(what, seconds <= bar * pace, f"{seconds:.3f} s; {bar:g} s at pace {pace:.1f}")
+
+    def pause(self, seconds: float) -> Wait:
+        """A wait as long as `seconds` of a quiet machine."""
+        began = time.monotonic()
+        return lambda: time.monotonic() - began >= seconds * self.pace.mean(began)
+
+    def soon(self, condition: Callable[[], Any], seconds: float = 20.0) -> Wait:
+        """Wait until something is so, at most `seconds` of a quiet machine; what follows looks whether it is."""
+        over = self.pause(seconds)
+        return lambda: condition() or over()
+
+    def chapter_times(self, chapter: str) -> tuple[float, float]:
+        """The first and the last beat of a chapter; zeros where it had none."""
+        times = [at for at, name, _ in self.beats if name == chapter]
+        return (times[0], times[-1]) if times else (0.0, 0.0)
+
     def gaps(self, chapter: str) -> list[float]:
         """Seconds between beats of which the later one fell in `chapter`."""
         pairs = zip(self.beats, self.beats[1:], strict=False)
-        return [late - early for (early, _), (late, name) in pairs if name == chapter]
+        return [late - early for (early, _, _), (late, name, _) in pairs if name == chapter]
+
+    def busy(self, chapter: str) -> list[float]:
+        """Seconds of processor time that Blender's main thread took between the same beats."""
+        pairs = zip(self.beats, self.beats[1:], strict=False)
+        return [late - early for (_, _, early), (_, name, late) in pairs if name == chapter]
 
     def _redrawn(self) -> None:
         self.redraws[self.chapter] += 1
 
     def _beat(self) -> float | None:
-        self.beats.append((time.monotonic(), self.chapter))
+        self.beats.append((time.monotonic(), self.chapter, time.thread_time()))
         try:
             while self._ready():
                 self._wait = next(self._story)
@@ -76,21 +103,22 @@ class Stage:
             return waited >= self._wait
         if self._wait():
             return True
-        if waited > self.patience:
+        if waited > self.patience * self.pace.mean(self._since):
             raise TimeoutError(f"waited {waited:.0f} s in chapter '{self.chapter}'")
         return False
 
     def _end(self) -> None:
-        result = {"checks": self.checks, "numbers": self.numbers}
+        self.pace.stop()
+        result = {"checks": self.checks, "numbers": self.numbers, "views": self.views}
         (self.out / "result.json").write_text(json.dumps(result, indent=1))
         bpy.ops.wm.quit_blender()
 
 
 class Hands:
-    """The mouse, the keyboard and a camera, outside of Blender."""
+    """The mouse, the keyboard and a camera, outside of Blender. `views` gets where each picture has its 3D view."""
 
-    def __init__(self, out: Path) -> None:
-        self.out = out
+    def __init__(self, out: Path, view: View, views: dict[str, tuple[int, int, int, int]]) -> None:
+        self.out, self.view, self.views = out, view, views
 
     def keys(self, *names: str) -> Story:
         """Press keys by their X names, one after the other."""
@@ -118,6 +146,7 @@ class Hands:
     def shoot(self, name: str) -> Story:
         """A picture of the whole screen."""
         path = str(self.out / f"{name}.png")
+        self.views[name] = self.view.open_part()
         yield from self._run("nice", "import", "-window", "root", "-define", "png:compression-level=9", path)
 
     def _run(self, *command: str) -> Story:
@@ -155,6 +184,14 @@ class View:
         """The middle of the view in X's pixels."""
         region = self.region()
         return region.x + region.width // 2, self.window.height - (region.y + region.height // 2)
+
+    def open_part(self) -> tuple[int, int, int, int]:
+        """(left, upper, right, lower) of the view between its tools and its side bar, in X's pixels."""
+        region, tools, side, height = self.region(), self.region("TOOLS"), self.region("UI"), self.window.height
+        left = max(region.x, tools.x + tools.width) if tools.width > 1 else region.x
+        right = min(region.x + region.width, side.x) if side.width > 1 else region.x + region.width
+        header = sum(r.height for r in self.area.regions if r.type in ("HEADER", "TOOL_HEADER") and r.height > 1)
+        return left, height - region.y - region.height + header, right, height - region.y
 
     def find_button(self, hands: Hands, operator: str) -> Generator[Wait, None, tuple[int, int] | None]:
         """Where in the side bar the button of `operator` is, found by moving the mouse down along it."""

@@ -44,7 +44,7 @@ def place() -> Any:
 
 @dataclass(frozen=True)
 class DiffusionOptions:
-    """What every diffusion provider can be told.
+    """Settings that all diffusion providers have.
 
     device: "auto" or a torch device; dtype: of the weights, "auto" for the device's best; offload: "none" keeps all
     weights on the device, "model" one model at a time, "sequential" one layer at a time; batch: images at once, 0 for
@@ -93,7 +93,7 @@ class FluxOptions(DiffusionOptions):
     """Settings of `flux_repair`.
 
     model: folder of a FLUX.2 [klein] pipeline in the diffusers layout, or a hub id, `owner/name` or
-    `owner/name@revision`; prompt: what the repair is told, with "{subject}" for `subject`; strength: how much of
+    `owner/name@revision`; prompt: of the repair, with "{subject}" for `subject`; strength: how much of
     the noise schedule is run, 1 forgets the posed render's pixels inside the mask; guidance_scale: of the prompt,
     only for undistilled models.
     """

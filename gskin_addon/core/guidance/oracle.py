@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Perfect guidance from known weights, to test and to measure everything after the guidance."""
+"""Perfect guidance from known weights, to test and measure everything after the guidance."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from ..skinning.initial import DEFAULT_INITIAL, INITIAL_WEIGHTS, PRESENT, needs_
 from ..skinning.initial import check_options as check_initial_options
 from ..skinning.losses import LossWeights
 from ..skinning.presets import DEFAULT_PRESET, PRESETS, Preset, preset_by_name
-from ..splats.cleanup import Hygiene
+from ..splats.cleanup import Cleanup
 
 FRONTS = {
     "-y": (0.0, -1.0, 0.0),
@@ -48,7 +48,7 @@ class JobSettings:
     init_options: those of the initial weights, {"model": path} for learned ones;
     field: a name in WEIGHT_FIELDS or PRESET_FIELD; field_options: the weight field's own; mesh: name of a
     file in the job's folder with a proxy mesh in the same world space, whose vertices get the weights and carry the
-    splats (see `mesh_file`), empty for none; hygiene: what to do about bad splats, see `Hygiene`; losses: factors of
+    splats (see `mesh_file`), empty for none; hygiene: what to do about bad splats, see `Cleanup`; losses: factors of
     the loss, see `LossWeights`; scope: name of a file in the job's folder with present weights, the splats that may
     change, and walls, see `core/job/scope.py`; empty for none; rasterizer: a name in BACKENDS, or "auto" for the
     fastest that works here.
@@ -101,7 +101,7 @@ class JobSettings:
         with _naming("field_options"):
             check_field_options(settings.field_name(preset_by_name(settings.preset)), settings.field_options)
         with _naming("hygiene"):
-            Hygiene.parse(settings.hygiene)
+            Cleanup.parse(settings.hygiene)
         with _naming("options"):
             check_options(settings.guidance, settings.options)
         with _naming("losses"):

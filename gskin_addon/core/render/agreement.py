@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A small scene on which a rasteriser is held against the CPU's before it is trusted with a job."""
+"""A small scene on which a rasteriser is compared with the CPU's before a job uses it."""
 
 from __future__ import annotations
 

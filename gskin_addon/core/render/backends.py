@@ -22,7 +22,7 @@ TRUST = 5e-3
 """Largest relative difference from the CPU on a small scene; a faulty driver or kernel is off by far more."""
 
 WARP_DEVICE = "GSKIN_WARP_DEVICE"
-"""Environment variable that names another Warp device than the first CUDA one; "cpu" for tests."""
+"""Environment variable with the Warp device to use instead of the first CUDA one; "cpu" for tests."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ BACKENDS = {
 
 
 def resolve_backend(name: str = AUTO) -> str:
-    """The backend that `name` stands for. InputError if there is none of that name or it cannot be used here."""
+    """The backend that `name` stands for. InputError if there is no such backend or it cannot be used here."""
     return choose_backend(name)[0]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Shortest gaps between the pieces of a body, so that none is left alone."""
+"""Edges across the shortest gaps between the pieces of a body, which make it connected."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ Array = NDArray[Any]
 
 
 def bridge_pieces(points: Array, piece: Array, walls: Array | None = None, *, beside: float = 0.0) -> Array:
-    """Edges (E, 2) across the gaps between pieces, so that all become one: each joins the nearest other, again and
-    again (Boruvka 1926).
+    """Edges (E, 2) across the gaps between pieces, so that all are connected: each is joined to the nearest other,
+    repeatedly (Boruvka 1926).
 
-    points (N, 3); piece (N,): labels; walls (N,): labels, see `walls`. A gap across a wall serves only where
-    a piece has no other. Of each gap one edge, the shortest; or, with `beside` > 0 and no wall, all from points of the
-    smaller piece to the nearest of the others that are at most 1.5 times as long plus `beside`.
+    points (N, 3); piece (N,): labels; walls (N,): labels, see `walls`. A gap across a wall is used only if a piece has
+    no other. Each gap gets one edge, the shortest; or, with `beside` > 0 and no wall, all edges from points of the
+    smaller piece to the nearest point of the others that are at most 1.5 times as long plus `beside`.
     """
     piece = np.unique(piece, return_inverse=True)[1].reshape(-1)
     edges = [np.zeros((0, 2), np.int64)]
@@ -46,7 +46,7 @@ def bridge_pieces(points: Array, piece: Array, walls: Array | None = None, *, be
 
 
 def _nearest_elsewhere(points: Array, piece: Array, rows: Array, walls: Array | None) -> tuple[Array, Array]:
-    """Distance and index of the nearest point of another piece for the points `rows`, infinite where walls leave none.
+    """Distance and index of the nearest point of another piece for the points `rows`, infinite if walls block all.
 
     Pieces differ in some bit of their numbers, so two searches for every bit find them all.
     """
@@ -64,7 +64,7 @@ def _nearest_elsewhere(points: Array, piece: Array, rows: Array, walls: Array | 
 
 
 def _open_ways(rows: Array, targets: Array, walls: Array | None) -> Iterator[tuple[Array, Array]]:
-    """Parts of rows, as places in it, and for each the targets that no wall keeps from them."""
+    """Parts of `rows`, as indices into it, and for each the targets that no wall separates from them."""
     labels = np.zeros(1, np.int64) if walls is None else np.unique(walls[rows])
     for label in labels:
         among = np.arange(len(rows)) if walls is None else np.flatnonzero(walls[rows] == label)

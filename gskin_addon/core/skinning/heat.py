@@ -14,9 +14,9 @@ from .laplacian import GraphLaplacian
 from .node_graph import NodeGraph, build_graph
 
 HANDLE_STRENGTH = 3.0
-FACING_STRENGTH = 6.0
-"""Of handles that feel `facing_distances`: with 4, 6 and 9 the heat weights keep 0.659, 0.641 and 0.641 of the initial
-weights' error on 83 assets, and on the animals among them 0.577, 0.584 and 0.599."""
+NORMAL_WEIGHTED_STRENGTH = 6.0
+"""Strength of handles with `normal_weighted_distances`: with 4, 6 and 9 the heat weights keep 0.659, 0.641 and 0.641
+of the initial weights' error on 83 assets, and on the animals among them 0.577, 0.584 and 0.599."""
 
 TIES = 1.0001
 CLOSEST = 1e-3
@@ -41,15 +41,16 @@ class BoneHeat:
         cloud: SplatCloud,
         distances: NDArray[Any],
         *,
-        reach: NDArray[Any] | None = None,
+        handle_distances: NDArray[Any] | None = None,
         strength: float = HANDLE_STRENGTH,
         nodes: int = 3000,
         graph: NodeGraph | None = None,
         walls: NDArray[Any] | None = None,
         tick: Tick = silent,
     ) -> None:
-        """cloud: N splats; distances (N, B): from each splat to each bone, through the body, metres; reach (N, B):
-        the same as the handles feel it, such as `facing_distances`; strength of the handles; graph of `cloud` and
+        """cloud: N splats; distances (N, B): from each splat to each bone, through the body, metres;
+        handle_distances (N, B): by which the handles are held, `distances` by default, see
+        `normal_weighted_distances`; strength of the handles; graph of `cloud` and
         `distances`, ready made, or how many nodes and which walls (N,) to make it with, see `build_graph`."""
         self.graph: NodeGraph = build_graph(cloud.means, distances, nodes, walls=walls) if graph is None else graph
         self.rest = cloud.means[self.graph.nodes].astype(np.float64)
@@ -58,8 +59,8 @@ class BoneHeat:
         square = np.square(self.rest[a] - self.rest[b]).sum(1)
         square = np.minimum(square, 4 * np.median(square))  # bridges across gaps are no measure of density
         mass = (np.bincount(a, square, count) + np.bincount(b, square, count)) / 4
-        felt = distances if reach is None else reach
-        near = np.maximum(np.asarray(felt[self.graph.nodes], np.float64), CLOSEST * diagonal(cloud))
+        pulling = distances if handle_distances is None else handle_distances
+        near = np.maximum(np.asarray(pulling[self.graph.nodes], np.float64), CLOSEST * diagonal(cloud))
         nearest = near.min(axis=1, keepdims=True)
         bone = near <= nearest * TIES
         self.handle_bone = bone / bone.sum(axis=1, keepdims=True)

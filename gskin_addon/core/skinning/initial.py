@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Initial skinning weights from geometry (Eq. 6-7) or learned, and their registry by name.
 
-Imports numpy only, so that a user interface can list the names; the kernels are loaded when weights are asked
-for.
+Imports numpy only, so that a user interface can list the names; the kernels are loaded when weights are computed.
 """
 
 from __future__ import annotations
@@ -37,20 +36,20 @@ DELTA = 0.1
 """The invisibility penalty of Eq. 6 for an object of unit diagonal: 10 % of it, the paper's value."""
 
 GEODESIC_SHARPNESS = 2.0
-"""Power on Eq. 7 for geodesic distances, which tell parts apart well enough to be trusted more.
+"""Power on Eq. 7 for geodesic distances, which separate body parts well enough for a sharper falloff.
 
 On 12 rigged assets it lowers the posed-position error against the artist's weights by 5 to 70 %; 2 and 3 are
 equally good.
 """
 
-_CLOSEST = 1e-8  # squared: a splat on a bone counts as 1e-4 of the diagonal away from it
+_CLOSEST = 1e-8  # squared: the distance of a splat on a bone counts as 1e-4 of the diagonal
 
 
 def falloff_weights(squared: Array, gamma: float = GAMMA, sharpness: float = 1.0) -> Array:
     """Eq. 7: w = (1 / ((1 - gamma) D + gamma D^2))^2, raised to `sharpness` (1 in the paper), rows sum to 1.
 
     squared (N, B): D, squared distances of an object with unit diagonal, infinite where a bone has no
-    influence. Returns float32. A row that is infinite throughout gets equal weights.
+    influence. Returns float32. A row of infinities gets equal weights.
     """
     d = np.maximum(np.asarray(squared, dtype=np.float64), _CLOSEST)
     cost = (1 - gamma) * d + gamma * d * d
@@ -72,12 +71,11 @@ def initial_weights_visibility(
     *,
     tick: Tick = silent,
 ) -> Array:
-    """The paper's initial weights: Euclidean distance to the bones, `delta` more where a bone is not visible.
+    """The paper's initial weights: by Euclidean distance to the bones, plus `delta` for bones that are not visible.
 
-    The object is brought to unit bounding-box diagonal first (D mixes squared lengths with a length), so that
-    the result does not depend on scale or place. means (N, 3) metres; masks (V, H, W) bool of the object in
-    each camera (Eq. 6), such as a rendered alpha above 0.5; pinholes in them count as outside. Returns (N, B)
-    float32, rows sum to 1.
+    The object is first scaled to unit bounding-box diagonal (D mixes squared lengths with a length), so that the result
+    does not depend on scale or position. means (N, 3) metres; masks (V, H, W) bool of the object in each camera (Eq.
+    6), such as a rendered alpha above 0.5; pinholes in them count as outside. Returns (N, B) float32, rows sum to 1.
     """
     from .visibility import bone_visibility
 
@@ -163,16 +161,16 @@ INITIAL_WEIGHTS: dict[str, InitialWeights] = {
     "heat": _heat,
 }
 """By name: (cloud, skeleton, masks (V, H, W) bool, cameras, options, walls, tick) -> weights (N, B) float32 whose rows
-sum to 1, and confidence (N,) in [0, 1] or None where the method has no opinion."""
+sum to 1, and confidence (N,) in [0, 1] or None if the method has none."""
 
 DEFAULT_INITIAL = "learned"
 
 PRESENT = "present"
-"""Not a method: the weights that the splats have, which a job brings along (`core/job/scope.py`)."""
+"""Not a method: the current weights of the splats, which are part of the job (`core/job/scope.py`)."""
 
 
 def needs_masks(name: str) -> bool:
-    """Whether the method `name` looks at pictures of the object."""
+    """Whether the method `name` needs masks of the object."""
     return name == "visibility"
 
 
@@ -218,8 +216,8 @@ def initial_with_confidence(
 ) -> tuple[Array, Array | None]:
     """As `initial_weights`, with the confidence (N,) in [0, 1] of each splat's weights where the method has one.
 
-    walls (N,): labels of the splats, 0 for none, see `walls`; "visibility" takes no notice of them. tick: told how far
-    the work is, 0 to 1, a few times a second; what it raises ends the work.
+    walls (N,): labels of the splats, 0 for none, see `walls`; "visibility" ignores them. tick: called with the
+    progress, 0 to 1, a few times a second; an exception from it stops the work.
     """
     if name not in INITIAL_WEIGHTS:
         raise InputError(f"No initial weights are called '{name}'; choose {' or '.join(INITIAL_WEIGHTS)}.")

@@ -13,7 +13,7 @@ from ..ticks import Tick, silent
 Array = NDArray[Any]
 
 TOLERANCE = 1e-7
-"""Largest residual over the diagonal at which a solution is good."""
+"""Largest residual, relative to the diagonal, of an accepted solution."""
 
 
 class GraphLaplacian:
@@ -23,7 +23,7 @@ class GraphLaplacian:
         """count of nodes; edges (E, 2), each once."""
         source, target = np.concatenate([edges, edges[:, ::-1]]).T
         self.degree = np.bincount(source, minlength=count).astype(np.float64)
-        # Nodes by falling degree: the k-th neighbours of all that have so many are one block.
+        # Nodes by descending degree: the k-th neighbours of all nodes that have one form a block.
         self._order = np.argsort(-self.degree, kind="stable")
         rank = np.empty(count, np.int64)
         rank[self._order] = np.arange(count)
@@ -35,8 +35,8 @@ class GraphLaplacian:
         self._columns = [column[number == k] for k in range(int(self.degree.max(initial=0)))]
 
     def solve(self, diagonal: Array, right: Array, guess: Array | None = None, tick: Tick = silent) -> Array:
-        """x (M, C) with (L + diag(diagonal)) x = right (M, C), diagonal (M,) nowhere negative and in each component of
-        the graph somewhere positive; float64. guess (M, C): where to begin.
+        """x (M, C) with (L + diag(diagonal)) x = right (M, C), diagonal (M,) non-negative and positive somewhere in
+        each component of the graph; float64. guess (M, C): the starting point.
 
         Conjugate gradients with the diagonal as preconditioner, on all columns side by side (Hestenes & Stiefel 1952).
         """

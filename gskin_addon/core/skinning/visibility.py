@@ -26,12 +26,11 @@ _POINTS = 2048  # at a time: small enough for the processor's cache
 def bone_visibility(
     means: Array, skeleton: Skeleton, masks: Array, cameras: Sequence[Camera], *, slack: int = 1, tick: Tick = silent
 ) -> tuple[Array, Array]:
-    """Squared distance to every bone, and whether the way there stays inside the object.
+    """Squared distance to every bone, and whether the straight line to it stays inside the object.
 
     The segment from a splat to its closest point on a bone is projected into each view; where it leaves the
     object mask the two do not see each other. It is sampled at every second pixel, at most 32 times. A view
-    in which the splat itself lies outside the mask (a stray, or too faint to be drawn) says nothing and is
-    skipped.
+    in which the splat itself lies outside the mask (a stray, or too faint to be drawn) is skipped.
 
     means (N, 3); masks (V, H, W) bool, one per camera, of that camera's size; `slack` pixels are added to
     each mask for the silhouette's aliasing. Returns squared distances (N, B) float64 in square metres and
@@ -74,7 +73,7 @@ def projection_matrix(camera: Camera) -> Array:
 
 
 def grow_masks(masks: Array, pixels: int) -> Array:
-    """Masks (V, H, W) bool grown by `pixels` in the four directions, that many times."""
+    """Masks (V, H, W) bool grown by `pixels` in the four axis directions."""
     for _ in range(pixels):
         grown = masks.copy()
         grown[:, 1:] |= masks[:, :-1]
@@ -95,9 +94,9 @@ def _bit_reversed(count: int) -> Array:
 
 
 def _look(points: Array, ends: Array, projection: Array, mask: Array, sees: Array) -> None:
-    """sees (N, B) becomes False where the way from points (N, 3) to ends (N, B, 3) leaves the mask (H, W)."""
+    """sees (N, B) becomes False where the line from points (N, 3) to ends (N, B, 3) leaves the mask (H, W)."""
     height, width = mask.shape
-    # A border of nothing: what lies beyond the picture is moved onto it.
+    # An empty border: points outside the image are moved onto it.
     framed = np.pad(mask, 1).ravel()
 
     def inside(u: Array, v: Array) -> Array:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Filters on voxel grids (X, Y, Z) in numpy alone; what lies beyond a grid counts as empty."""
+"""Filters on voxel grids (X, Y, Z) in numpy alone; everything outside a grid counts as empty."""
 
 from __future__ import annotations
 
@@ -31,9 +31,8 @@ def close_holes(mask: Array) -> Array:
 
 
 def outside(solid: Array) -> Array:
-    """Voxels that are not solid and that the border of the grid reaches over the 6 neighbours.
-
-    Sweeps in the six directions, until one round reaches nothing new.
+    """Voxels that are not solid and are connected to the border of the grid over the 6 neighbours. Sweeps in the six
+    directions, until a round finds nothing new.
     """
     free = ~solid
     out = np.zeros_like(free)
@@ -43,7 +42,7 @@ def outside(solid: Array) -> Array:
     while (reached := int(np.count_nonzero(out))) != done:
         done = reached
         for axis in range(3):
-            # Sweeps go along the first axis of a copy in which planes are whole: strided ones are slow.
+            # Sweeps go along the first axis of a copy with contiguous planes: strided ones are slow.
             planes, way = np.ascontiguousarray(_along(out, axis)), np.ascontiguousarray(_along(free, axis))
             step = np.empty_like(planes[0])
             for i in range(1, len(planes)):
@@ -55,7 +54,7 @@ def outside(solid: Array) -> Array:
 
 
 def fill_holes(solid: Array) -> Array:
-    """solid and what it encloses."""
+    """solid, and everything that it encloses."""
     return ~outside(solid)
 
 
@@ -78,7 +77,7 @@ def blur(solid: Array, deviation: float = 1.0) -> Array:
 
 def slope_at(field: Array, places: Array) -> Array:
     """Gradient (N, 3) of field by central differences, trilinear between voxels, at places (N, 3): voxel (i, j, k)
-    lies at (i, j, k); places beyond the inner voxels are moved to them."""
+    lies at (i, j, k); positions beyond the inner voxels are clamped to them."""
     size = np.array(field.shape)
     places = np.clip(places, 1, np.maximum(size - 2, 1))
     cell = np.minimum(places.astype(np.int64), np.maximum(size - 3, 1))

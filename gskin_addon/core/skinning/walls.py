@@ -17,16 +17,17 @@ Array = NDArray[Any]
 
 
 def blocked(first: Any, second: Any) -> Array:
-    """Whether a wall lies between places with the labels `first` and `second`, arrays or numbers."""
+    """Whether a wall lies between splats with the labels `first` and `second`, arrays or numbers."""
     return np.asarray((first != second) & (first != 0) & (second != 0))
 
 
 def nearest_open(
     points: Array, queries: Array, labels: Array | None = None, own: Array | None = None
 ) -> tuple[Array, Array]:
-    """Distance and index (Q,) of the nearest of points (N, 3) that no wall keeps from each query (Q, 3).
+    """Distance and index (Q,) of the nearest of points (N, 3) that no wall separates from each query (Q, 3).
 
-    labels (N,) of the points and own (Q,) of the queries, None without walls. Where there is none, of all points.
+    labels (N,) of the points and own (Q,) of the queries, None without walls. If there is none, the nearest of all
+    points.
     """
     if labels is None or own is None:
         way, index = nearest_points(points, queries, 1)

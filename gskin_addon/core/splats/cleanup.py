@@ -116,8 +116,8 @@ def isotropic(cloud: SplatCloud) -> SplatCloud:
 
 
 @dataclass(frozen=True)
-class Hygiene:
-    """What to do before skinning.
+class Cleanup:
+    """What to do with bad splats before skinning. In jobs and reports its key is "hygiene".
 
     ignore_strays, ignore_faint_giants: learn without them; they get the weights of the nearest other splat.
     max_aspect: learn with needles clamped to it, 0 for as they are; isotropic: learn with balls.
@@ -129,7 +129,7 @@ class Hygiene:
     isotropic: bool = False
 
     @classmethod
-    def parse(cls, values: Mapping[str, Any]) -> Hygiene:
+    def parse(cls, values: Mapping[str, Any]) -> Cleanup:
         """From a job's table. Raises InputError: an unknown name, or a value that is not allowed."""
         known = [f.name for f in fields(cls)]
         unknown = sorted(set(values) - set(known))

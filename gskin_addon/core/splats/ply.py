@@ -70,7 +70,8 @@ def read_ply(path: str | os.PathLike[str], *, drop_invalid: bool = False) -> Ply
     if bad and not drop_invalid:
         raise InputError(
             f"{path}: {bad} of {total} splats have {_INVALID}; "
-            "read it with drop_invalid=True (--drop-invalid) to leave them out."
+            "read it with Drop Invalid Splats to leave them out.",
+            shell="drop_invalid=True, --drop-invalid",
         )
     if bad:
         return PlySplats(cloud.select(valid), np.flatnonzero(valid), total)

@@ -26,7 +26,7 @@ from ..errors import Cancelled, GSkinError, InputError
 from ..guidance.consent import with_consent
 from ..job.contract import Result, read_result
 from ..job.progress import ProgressEvent
-from .interpreter import worker_environment
+from .interpreter import VARIABLE, worker_environment
 
 PROGRAM = Path(__file__).with_name("process.py")
 
@@ -34,10 +34,11 @@ State = Literal["new", "running", "done", "failed", "cancelled"]
 
 
 class WorkerError(GSkinError):
-    """The worker failed: its sentence, its traceback (may be empty) and its exit code."""
+    """The worker failed: its sentence (`plain`: without flags), its traceback (may be empty) and its exit code."""
 
-    def __init__(self, sentence: str, traceback: str, exit_code: int) -> None:
+    def __init__(self, sentence: str, traceback: str, exit_code: int, plain: str = "") -> None:
         super().__init__(sentence)
+        self.plain = plain or sentence
         self.traceback = traceback
         self.exit_code = exit_code
 
@@ -64,14 +65,14 @@ class WorkerClient:
     ) -> None:
         """isolated: the worker sees nothing of the user's own Python packages and PYTHON... variables.
 
-        gentle: the worker gives way to other programs, so that a window stays quick while it runs.
+        gentle: the worker runs at low priority, so that a window stays responsive meanwhile.
 
         allow_download: the person agreed, for this run, to fetch models that are missing.
         """
         self.python, self.folder = Path(python), Path(folder)
         self._isolated, self._gentle, self._allow_download = isolated, gentle, allow_download
         self.state: State = "new"
-        self.error = ""
+        self.error = self._plain = ""
         self.traceback = ""
         self.exit_code = 0
         self._program = program
@@ -106,7 +107,8 @@ class WorkerClient:
         except OSError as error:
             raise InputError(
                 f"The worker's interpreter '{self.python}' cannot be started ({error.strerror}); "
-                "name a Python that has torch in the add-on's preferences (or GSKIN_PYTHON)."
+                "name a Python that has torch in the add-on's preferences.",
+                shell=f"or {VARIABLE}",
             ) from error
         if self._gentle and hasattr(os, "setpriority"):
             # What the worker starts later inherits this.
@@ -121,7 +123,7 @@ class WorkerClient:
         lines.start()
 
     def poll(self) -> list[ProgressEvent]:
-        """What the worker said since the last call; moves `state` on. Never waits."""
+        """The worker's progress since the last call; updates `state`. Never waits."""
         events: list[ProgressEvent] = []
         while True:
             try:
@@ -187,7 +189,7 @@ class WorkerClient:
         if self.state == "cancelled":
             raise Cancelled("The job was cancelled.")
         if self.state == "failed":
-            raise WorkerError(self.error, self.traceback, self.exit_code)
+            raise WorkerError(self.error, self.traceback, self.exit_code, self._plain)
         if self.state != "done":
             raise GSkinError("The job has not ended yet; wait for it.")
         return read_result(self.folder)
@@ -208,13 +210,16 @@ class WorkerClient:
             self.state = "failed"
             self.exit_code = self.exit_code if self.exit_code in (1, 2) else 1
             self.traceback = str(self._final.get("traceback") or self.log)
-            self.error = str(self._final.get("error") or self._unexplained(code))
+            unexplained = self._unexplained(code)
+            self.error = str(self._final.get("error") or unexplained)
+            self._plain = str(self._final.get("plain") or self._final.get("error") or unexplained.plain)
 
-    def _unexplained(self, code: int) -> str:
+    def _unexplained(self, code: int) -> GSkinError:
         last = next((line.strip() for line in reversed(self._log) if line.strip()), "it said nothing")
-        return (
+        return GSkinError(
             f"The worker '{self.python}' ended without a result (exit code {code}): {last}"[:400]
-            + " - check the interpreter in the add-on's preferences (or GSKIN_PYTHON)."
+            + " - check the interpreter in the add-on's preferences.",
+            shell=f"or {VARIABLE}",
         )
 
     def _read_lines(self, process: subprocess.Popen[bytes], log: threading.Thread) -> None:

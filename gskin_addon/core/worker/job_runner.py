@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The worker's inner process: reads a job, runs the pipeline, writes the answer, and says so line by line."""
+"""The worker's inner process: reads a job, runs the pipeline, writes the result, and reports line by line."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from ..pipeline.result import SkinResult
 
 MODULES = ("numpy",)
-"""What the interpreter of a worker must have for a job that neither renders nor learns."""
+"""Modules that a worker's Python needs for a job that neither renders nor learns."""
 RUNTIME_MODULES = ("numpy", "scipy", "numba", "torch", "safetensors")
-"""What it must have for the others; see `JobSettings.needs_runtime`."""
+"""Modules that it needs for the others; see `JobSettings.needs_runtime`."""
 
 _LAST_RESORT = 2.0
 """Seconds after which a cancelled process ends whatever it is doing, should its supervisor be gone."""
@@ -55,7 +55,8 @@ def main(folder: str | Path, pipeline: Pipeline | None = None) -> int:
         return 0
     except Exception as error:
         code, sentence, details = explain(error)
-        send({"stage": "error", "error": sentence, "traceback": details, "exit_code": code})
+        plain = getattr(error, "plain", sentence)
+        send({"stage": "error", "error": sentence, "plain": plain, "traceback": details, "exit_code": code})
         return code
 
 
@@ -65,9 +66,8 @@ def run_job(
     cancelled: CancelFlag,
     pipeline: Pipeline | None = None,
 ) -> None:
-    """Do the job in `folder`, reporting by `send`; raises what goes wrong.
-
-    A finished job is not done again. A stopped one goes on from what the pipeline left in its checkpoint.
+    """Run the job in `folder`, reporting by `send`; exceptions pass through. A finished job is not run again. A stopped
+    one continues from the pipeline's checkpoint.
     """
     progress = Progress(send, cancelled)
     progress("start", 0.0, {}, "Reading the job")
@@ -100,12 +100,13 @@ def check_modules(modules: tuple[str, ...] = MODULES) -> None:
         raise InputError(
             f"The worker's interpreter '{sys.executable}' lacks {' and '.join(missing)}; install "
             f"with: {sys.executable} -m pip install {' '.join(missing)}"
-            " - or name another interpreter in the add-on's preferences (or GSKIN_PYTHON)."
+            " - or name another interpreter in the add-on's preferences.",
+            shell="or GSKIN_PYTHON",
         )
 
 
 def explain(error: BaseException) -> tuple[int, str, str]:
-    """(exit code, one sentence for a person, traceback) of what a job died of."""
+    """(exit code, one sentence for a person, traceback) of the exception that ended a job."""
     details = "".join(traceback.format_exception(error))
     if isinstance(error, GSkinError):
         return error.exit_code, str(error), "" if isinstance(error, (InputError, Cancelled)) else details

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The Python that this program runs in, as one that can be started: it does the jobs that need numpy only."""
+"""The Python that this program runs in, as an executable: it runs the jobs that need numpy only."""
 
 from __future__ import annotations
 
@@ -40,10 +40,12 @@ def job_python(needs_runtime: bool, preference: str = "") -> Path:
             return own
     python = find_worker_python(preference)
     if python is None:
+        if not needs_runtime:
+            raise InputError(
+                "No Python was found to run the job in; name one in the add-on's preferences.", shell=f"or {VARIABLE}"
+            )
         raise InputError(
-            f"No Python was found to run the job in; name one with {VARIABLE}."
-            if not needs_runtime
-            else f"No Python with torch was found, which guidance needs; name one with --python or {VARIABLE} "
-            "(pip install 'gskin_addon[worker]' makes one)."
+            "No Python with torch was found, which guidance needs; name one in the add-on's preferences.",
+            shell=f"--python or {VARIABLE}; pip install 'gskin_addon[worker]' makes one",
         )
     return python

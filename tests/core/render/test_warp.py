@@ -139,7 +139,7 @@ def test_mixed_sizes_small_batches_and_losses_of_ones_own(monkeypatch: pytest.Mo
     found = scene.render_and_grad_many(*arrays, cameras, losses)
     for mine, theirs in zip(found, wanted, strict=True):
         assert relative(mine, theirs) < 1e-4
-    one = scene.forward(means, quats, cameras[0]).batch.pairs
+    one = scene.forward(means, quats, cameras[0]).state.pairs
     monkeypatch.setattr(batches, "PAIRS_AT_ONCE", one)
     halved = scene.render_and_grad_many(*arrays, cameras, losses)
     for mine, theirs in zip(halved, found, strict=True):

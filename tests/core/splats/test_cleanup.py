@@ -10,7 +10,7 @@ import pytest
 
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.splats.cleanup import (
-    Hygiene,
+    Cleanup,
     clamp_aspect,
     find_faint_giants,
     find_needles,
@@ -114,18 +114,18 @@ def test_balls_keep_the_area():
 )
 def test_bad_options_are_named(values, words):
     with pytest.raises(InputError, match=words):
-        Hygiene.parse(values)
+        Cleanup.parse(values)
 
 
 def test_counts_of_a_job():
     body = make_limb(1000).cloud
     cloud = merged(body, at([[1, 0, 2]]), at([[1, 0, 0]], 0.4, 0.02))
-    bad, counts = Hygiene.parse({}).find(cloud)
+    bad, counts = Cleanup.parse({}).find(cloud)
     assert counts == {"strays": 1, "faint_giants": 1}
     assert np.flatnonzero(bad).tolist() == [1000, 1001]
-    assert not Hygiene(ignore_strays=False, ignore_faint_giants=False).find(cloud)[0].any()
-    assert Hygiene().shape(cloud) == (cloud, {})
-    shaped, needles = Hygiene(max_aspect=1.01, isotropic=True).shape(cloud)
+    assert not Cleanup(ignore_strays=False, ignore_faint_giants=False).find(cloud)[0].any()
+    assert Cleanup().shape(cloud) == (cloud, {})
+    shaped, needles = Cleanup(max_aspect=1.01, isotropic=True).shape(cloud)
     assert needles["needles"] == int(find_needles(cloud, 1.01).sum())
     assert np.ptp(shaped.scales, axis=1).max() == 0
 

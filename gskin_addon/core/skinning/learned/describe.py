@@ -16,9 +16,15 @@ from ...splats.cloud import SplatCloud
 from ...ticks import Tick, silent, stretch
 from ..extent import unit_frame
 from ..geodesic import geodesic_distances
-from ..heat import CLOSEST, FACING_STRENGTH, BoneHeat
+from ..heat import CLOSEST, NORMAL_WEIGHTED_STRENGTH, BoneHeat
 from ..node_graph import build_graph
-from ..normal_weighted_distance import NEIGHBOURS, agreed, facing_distances, outward, surface_normals
+from ..normal_weighted_distance import (
+    NEIGHBOURS,
+    consistent_normals,
+    normal_weighted_distances,
+    outward_normals,
+    surface_normals,
+)
 from ..voxels import voxelize
 from .features import Description, Reach, describe
 from .parts import Parts, even_subset, find_parts
@@ -38,9 +44,9 @@ DIFFUSE, HARD = 0.15, 5.0
 class Body:
     """Some splats of an object, described.
 
-    index (N,): which splats; points, colors, normals, out (N, 3), see `outward` and `agreed`; reach and parts of these
-    N splats; walls (N,): their labels, or None; rows (M,): the described ones among them; description; size: the
-    object's diagonal.
+    index (N,): which splats; points, colors, normals, out (N, 3), see `outward_normals` and
+    `consistent_normals`; reach and parts of these N splats; walls (N,): their labels, or None;
+    rows (M,): the described ones among them; description; size: the object's diagonal.
     """
 
     index: Array
@@ -56,7 +62,7 @@ class Body:
     walls: Array | None = None
 
 
-def look_at(
+def describe_body(
     cloud: SplatCloud,
     skeleton: Skeleton,
     *,
@@ -92,14 +98,19 @@ def look_at(
         cloud.means, cloud.opacities, NORMAL_RESOLUTION, scales=cloud.scales, quats=cloud.quats,
         tick=stretch(tick, 0.43, 0.5),
     )  # fmt: skip
-    out = agreed(points, outward(points, normals, fine), distances.min(axis=1), size, around)
+    out = consistent_normals(points, outward_normals(points, normals, fine), distances.min(axis=1), size, around)
     tick(0.53)
-    faced = facing_distances(points, out, segments, ways, CLOSEST * size)
+    faced = normal_weighted_distances(points, out, segments, ways, CLOSEST * size)
     tick(0.55)
     graph = build_graph(part.means, distances, HEAT_NODES, walls=own)
     tick(0.6)
     body = BoneHeat(
-        part, distances, reach=faced, strength=FACING_STRENGTH, graph=graph, tick=stretch(tick, 0.6, 0.65)
+        part,
+        distances,
+        handle_distances=faced,
+        strength=NORMAL_WEIGHTED_STRENGTH,
+        graph=graph,
+        tick=stretch(tick, 0.6, 0.65),
     )
     plain = BoneHeat(part, distances, graph=graph, tick=stretch(tick, 0.65, 0.7)).weights()
     diffuse = body.weights(strength=DIFFUSE, tick=stretch(tick, 0.7, 0.78))

@@ -16,7 +16,7 @@ from ...rig.skeleton import Skeleton
 from ...splats.cloud import SplatCloud
 from ...ticks import Tick, silent, stretch
 from ..walls import blocked, nearest_open
-from .describe import Body, look_at
+from .describe import Body, describe_body
 from .features import PRIOR
 from .held_objects import hold
 from .model_file import SHIPPED, load_model
@@ -32,7 +32,7 @@ CAUTION = 0.3
 """Share of the heat weights in the logits: on families left out it lowers the errors of bodies unlike any that
 the network has seen, and leaves the others as they are."""
 
-SPREAD = 6
+NEAREST_NODES = 6
 _CHUNK = 25_000
 
 
@@ -55,10 +55,10 @@ def learned_weights(
     """
     networks = _loaded(model or SHIPPED)
     nodes = _nodes_share(cloud.count)
-    body = look_at(cloud, skeleton, limit=NODES, walls=walls, tick=stretch(tick, 0.0, 0.6 * nodes))
+    body = describe_body(cloud, skeleton, limit=NODES, walls=walls, tick=stretch(tick, 0.0, 0.6 * nodes))
     weights, confidence = predict_nodes(networks, body, skeleton.count, tick=stretch(tick, 0.6 * nodes, nodes))
     held = hold(weights, body.points, skeleton, body.size)
-    return spread(cloud, body, held, confidence, walls=walls, tick=stretch(tick, nodes, 1.0))
+    return interpolate_to_splats(cloud, body, held, confidence, walls=walls, tick=stretch(tick, nodes, 1.0))
 
 
 def heat_weights(
@@ -66,19 +66,19 @@ def heat_weights(
 ) -> Array:
     """Weights (N, B) float32, rows sum to 1, of bone heat on the splats: where the network starts from.
 
-    After Baran & Popovic 2007, with `facing_distances` as Blender has them. walls as in `learned_weights`.
+    After Baran & Popovic 2007, with `normal_weighted_distances` as Blender has them. walls as in `learned_weights`.
 
     Raises:
         InputError: fewer than two splats.
     """
     nodes = _nodes_share(cloud.count)
-    body = look_at(cloud, skeleton, limit=NODES, rows=8, walls=walls, tick=stretch(tick, 0.0, nodes))
-    sure = np.ones(len(body.index), np.float32)
-    return spread(cloud, body, body.reach.heat, sure, walls=walls, tick=stretch(tick, nodes, 1.0))[0]
+    body = describe_body(cloud, skeleton, limit=NODES, rows=8, walls=walls, tick=stretch(tick, 0.0, nodes))
+    certain = np.ones(len(body.index), np.float32)
+    return interpolate_to_splats(cloud, body, body.reach.heat, certain, walls=walls, tick=stretch(tick, nodes, 1.0))[0]
 
 
 def _nodes_share(count: int) -> float:
-    """Share of the work that is done for the nodes alone: as much as spreading to 700,000 splats is."""
+    """Share of the work that is done for the nodes alone: as much as interpolating to 700,000 splats is."""
     return 1 - count / (count + 700_000)
 
 
@@ -106,7 +106,7 @@ def predict_nodes(
     return weights / weights.sum(axis=1, keepdims=True), np.asarray(1 - doubt / len(networks), np.float32)
 
 
-def spread(
+def interpolate_to_splats(
     cloud: SplatCloud,
     body: Body,
     weights: Array,
@@ -119,8 +119,8 @@ def spread(
     if len(body.index) == cloud.count:
         return weights, confidence
     colors = cloud.base_colors()
-    pitch = float(np.median(nearest_points(body.points, body.points, min(SPREAD, len(body.index)))[0]))
-    out, sure = np.empty((cloud.count, weights.shape[1]), np.float32), np.empty(cloud.count, np.float32)
+    pitch = float(np.median(nearest_points(body.points, body.points, min(NEAREST_NODES, len(body.index)))[0]))
+    out, out_confidence = np.empty((cloud.count, weights.shape[1]), np.float32), np.empty(cloud.count, np.float32)
     for first in range(0, cloud.count, _CHUNK):
         rows = slice(first, min(first + _CHUNK, cloud.count))
         own = None if walls is None else np.asarray(walls)[rows]
@@ -130,17 +130,17 @@ def spread(
             block += share[:, column : column + 1] * weights[near[:, column]]
         block /= block.sum(axis=1, keepdims=True)
         out[rows] = block
-        sure[rows] = (share * confidence[near]).sum(axis=1)
+        out_confidence[rows] = (share * confidence[near]).sum(axis=1)
         tick(rows.stop / cloud.count)
-    return out, sure
+    return out, out_confidence
 
 
 def _shares(
     body: Body, points: Array, colors: Array, pitch: float, walls: Array | None
 ) -> tuple[Array, Array]:
-    """Shares and indices (n, SPREAD) of the nodes that splats follow; pitch: the usual way between neighbouring nodes;
-    walls (n,): labels of the splats."""
-    way, near = nearest_points(body.points, points, min(SPREAD, len(body.index)))
+    """Shares and indices (n, NEAREST_NODES) of the nodes that splats follow; pitch: the usual way between
+    neighbouring nodes; walls (n,): labels of the splats."""
+    way, near = nearest_points(body.points, points, min(NEAREST_NODES, len(body.index)))
     beyond = np.zeros(near.shape, bool)
     if walls is not None and body.walls is not None:
         beyond = blocked(walls[:, None], body.walls[near])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a training keeps on the disk: a checkpoint to go on from, and weights in LightningDrag's published layout."""
+"""The files of a training: a checkpoint to continue from, and weights in LightningDrag's published layout."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ class Average:
 
     @torch.no_grad()
     def update(self, updates: int) -> None:
-        """After the update that makes `updates` of them."""
+        """Update the averages after the update number `updates`."""
         part = 1.0 - min(self._decay, (1 + updates) / (10 + updates))
         for name, value in self.values.items():
             value.lerp_(self._parameters[name].detach(), part)
 
     @contextlib.contextmanager
     def in_place(self) -> Iterator[None]:
-        """The parameters have their averages as values meanwhile."""
+        """Within the block, the parameters have their averages as values."""
         own = {name: self._parameters[name].detach().clone() for name in self.values}
         put(self._parameters, self.values)
         try:
@@ -53,13 +53,13 @@ class Average:
 
 @torch.no_grad()
 def put(parameters: Mapping[str, nn.Parameter], values: Mapping[str, torch.Tensor]) -> None:
-    """Give `parameters` the `values` of their names."""
+    """Set `parameters` to the `values` of the same names."""
     for name, value in values.items():
         parameters[name].copy_(value)
 
 
 def save_state(out: Path, state: Mapping[str, Any]) -> None:
-    """The checkpoint, whole or not at all."""
+    """Write the checkpoint atomically."""
     save_checkpoint(out / STATE, state)
 
 

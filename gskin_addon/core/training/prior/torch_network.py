@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The network as it is trained: core/skinning/learned/network.py with gradients, for several bodies at once.
-
-Both have the same parameters by the same names; a test holds their answers together.
+"""The network for training: core/skinning/learned/network.py with gradients, for several bodies at once. Both have the
+same parameters with the same names; a test compares their outputs.
 """
 
 from __future__ import annotations
@@ -20,12 +19,12 @@ from ...skinning.learned.tree import RELATIONS
 
 
 @dataclass
-class Batch:
+class BodyBatch:
     """Descriptions of one or more bodies, splats in a row.
 
     bone (N, K) int64, -1 where there is none; role (N, K) int64, see `bone_roles`; values (N, K, F); kin (N, K, K)
-    int64 relation of the token in the column to the one in the row; bodies: for each its slice of splats, number of
-    bones, neighbourhoods (n, k) and labels (n, 3) within the slice.
+    int64 relation of the token in the column to the one in the row; bodies: for each body its slice of splats, number
+    of bones, neighbourhoods (n, k) and labels (n, 3) within the slice.
     """
 
     bone: Tensor
@@ -36,7 +35,7 @@ class Batch:
 
 
 @dataclass
-class Answer:
+class NetworkOutput:
     """first, final (N, K): logits, very negative where there is no bone; doubt (N,): logit of the expected share of
     weight on wrong bones."""
 
@@ -98,7 +97,7 @@ class PriorNetwork(nn.Module):
         for part in (self.restyle, last):
             nn.init.zeros_(part.bias)
 
-    def forward(self, batch: Batch) -> Answer:
+    def forward(self, batch: BodyBatch) -> NetworkOutput:
         missing = batch.bone < 0
         x = self.enter((batch.values - self.mean) / self.deviation) + self.role(batch.role)
         bias = self.kin(batch.kin).permute(3, 0, 1, 2) + missing[None, :, None, :] * FAR
@@ -118,23 +117,23 @@ class PriorNetwork(nn.Module):
         mixed = (final.softmax(-1)[..., None] * seen).sum(1)
         final = final * torch.exp(SHARPEST * torch.tanh(self.sharp(torch.cat([mixed, style], -1))))
         final = final.clamp(min=FAR)
-        return Answer(first, final, self._doubt(seen.detach(), final.detach()))
+        return NetworkOutput(first, final, self._doubt(seen.detach(), final.detach()))
 
-    def _exchange(self, seen: Tensor, logits: Tensor, batch: Batch) -> Tensor:
-        """What the splats around say about each token's bone."""
+    def _exchange(self, seen: Tensor, logits: Tensor, batch: BodyBatch) -> Tensor:
+        """Messages of the neighbouring splats about each token's bone."""
         share = logits.softmax(-1)
         words = torch.cat([torch.ones_like(share)[..., None], torch.tanh(self.say(seen))], -1) * share[..., None]
-        heard = [
+        interrupts = [
             pool_tokens(words[rows], batch.bone[rows], bones, near, labels)
             for rows, bones, near, labels in batch.bodies
         ]
-        pooled = torch.cat(heard)  # (N, K, POOLS, 1 + channels)
+        pooled = torch.cat(interrupts)  # (N, K, POOLS, 1 + channels)
         loud = torch.log(pooled[..., 0] + 1e-3)
         told = pooled[..., 1:] / (pooled[..., :1] + 1e-3)
         out: Tensor = self.hear(torch.cat([loud, told.flatten(2), torch.log(share + 1e-3)[..., None]], -1))
         return out
 
-    def _style(self, seen: Tensor, logits: Tensor, batch: Batch) -> Tensor:
+    def _style(self, seen: Tensor, logits: Tensor, batch: BodyBatch) -> Tensor:
         """(N, style): the same for all splats of a body."""
         mixed = (logits.softmax(-1)[..., None] * seen).sum(1)
         out = []
@@ -155,10 +154,10 @@ class PriorNetwork(nn.Module):
 
 
 def pool_tokens(words: Tensor, bone: Tensor, bones: int, near: Sequence[Tensor], labels: Tensor) -> Tensor:
-    """Means of what splats say of a bone, over neighbourhoods and over labels.
+    """Means of the splats' messages about a bone, over neighbourhoods and over labels.
 
     words (n, K, C); bone (n, K), -1 where there is none; near: (n, k) splat indices; labels (n, L).
-    Returns (n, K, len(near) + L, C); a splat without a token for a bone says zero about it.
+    Returns (n, K, len(near) + L, C); a splat without a token for a bone counts as zero.
     """
     count, channels = len(words), words.shape[-1]
     present = (bone >= 0)[..., None]
@@ -178,7 +177,7 @@ def pool_tokens(words: Tensor, bone: Tensor, bones: int, near: Sequence[Tensor],
     return torch.stack(out, 2)
 
 
-def make_batch(bodies: Sequence[dict[str, Any]]) -> Batch:
+def make_batch(bodies: Sequence[dict[str, Any]]) -> BodyBatch:
     """Join descriptions given as arrays: bone, values, relation, role, near, wide, labels."""
     bone, role, values, kin, rest, start = [], [], [], [], [], 0
     for body in bodies:
@@ -193,4 +192,4 @@ def make_batch(bodies: Sequence[dict[str, Any]]) -> Batch:
         labels = torch.from_numpy(body["labels"].astype("int64"))
         rest.append((slice(start, start + len(b)), len(relation), near, labels))
         start += len(b)
-    return Batch(torch.cat(bone), torch.cat(role), torch.cat(values), torch.cat(kin), rest)
+    return BodyBatch(torch.cat(bone), torch.cat(role), torch.cat(values), torch.cat(kin), rest)

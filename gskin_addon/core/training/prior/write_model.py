@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Writes what was trained as a model file, see core/skinning/learned/model_file.py."""
+"""Writes trained networks as a model file, see core/skinning/learned/model_file.py."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .torch_network import PriorNetwork
 
 
 def save_model(networks: Sequence[PriorNetwork], path: Path, card: ModelCard) -> None:
-    """Write half-precision weights; the file appears whole or not at all. All networks have the shape of the first."""
+    """Write half-precision weights; the file is written atomically. All networks have the shape of the first."""
     tensors = {
         f"{number}.{name}": value.to(torch.float16 if value.ndim == 2 else torch.float32).contiguous()
         for number, network in enumerate(networks)
@@ -33,7 +33,7 @@ def save_model(networks: Sequence[PriorNetwork], path: Path, card: ModelCard) ->
         "families": card.families,
         "training": dict(card.training),
     }
-    # One entry only: safetensors keeps several in an order of its own, and equal trainings shall give equal bytes.
+    # One entry only: safetensors does not keep the order of several, and equal trainings must give equal bytes.
     metadata = {FORMAT: json.dumps(about)}
     with replaced(path) as temporary:
         save_file(tensors, temporary, metadata)

@@ -43,19 +43,19 @@ def check(weights, confidence, cloud, skeleton):
 
 
 def test_better_than_distances_on_creatures_that_were_not_trained():
-    """Their seeds are not of the form that `creature_lesson` makes."""
+    """Their seeds are not of the form that `creature_sample` makes."""
     ratios = []
     for seed in (1, 2, 3, 4):
-        subject = creatures.generate(np.random.default_rng([seed, 20_011]))
-        cloud, skeleton = subject.cloud, subject.skeleton
+        body = creatures.generate_creature(np.random.default_rng([seed, 20_011]))
+        cloud, skeleton = body.cloud, body.skeleton
         weights, confidence = learned_weights(cloud, skeleton)
         check(weights, confidence, cloud, skeleton)
         plain = initial_weights_geodesic(
             cloud.means, cloud.opacities, skeleton, scales=cloud.scales, quats=cloud.quats
         )
-        errors = [posed_distance(cloud.means, skeleton, w, subject.weights) for w in (weights, plain)]
+        errors = [posed_distance(cloud.means, skeleton, w, body.weights) for w in (weights, plain)]
         ratios.append(errors[0] / errors[1])
-        wrong = np.abs(weights - subject.weights).sum(axis=1) / 2
+        wrong = np.abs(weights - body.weights).sum(axis=1) / 2
         low, high = np.quantile(confidence, [0.2, 0.8])
         assert wrong[confidence <= low].mean() > wrong[confidence >= high].mean()
     assert max(ratios) < 1
@@ -64,14 +64,14 @@ def test_better_than_distances_on_creatures_that_were_not_trained():
 
 def test_equal_runs_give_equal_bits_wherever_the_body_is():
     limb = make_limb(1500)
-    here, sure = learned_weights(limb.cloud, limb.skeleton)
+    here, confidence_out = learned_weights(limb.cloud, limb.skeleton)
     again, _ = learned_weights(limb.cloud, limb.skeleton)
     np.testing.assert_array_equal(here, again)
     far = replace(limb.cloud, means=limb.cloud.means * 50 + 7, scales=limb.cloud.scales * 50)
     there, _ = learned_weights(far, limb.skeleton.moved(np.eye(3), 50.0, (7, 7, 7)))
     assert np.abs(here - there).sum(axis=1).mean() < 0.05
     assert np.abs(here - limb.weights).sum(axis=1).mean() / 2 < 0.15
-    assert sure.mean() > 0.5
+    assert confidence_out.mean() > 0.5
 
 
 def test_one_bone_takes_all():
