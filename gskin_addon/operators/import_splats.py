@@ -93,7 +93,7 @@ class GSKIN_OT_import_splats(bpy.types.Operator, ImportHelper):
         context.view_layer.objects.active = made[-1]
         prepare_scene(context.scene)
         # Attribute colours would repaint every other object, too; there the panel has a button.
-        if not views.has_other_surfaces(context.scene):
+        if not views.has_other_surfaces(context.view_layer):
             views.show_colors(context.screen, chosen_before=False)
         if self.frame:
             views.frame_selected(context)

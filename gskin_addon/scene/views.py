@@ -19,10 +19,14 @@ def has_surfaces(scene: bpy.types.Scene) -> bool:
     return any(obj.type in _SURFACES for obj in scene.objects)
 
 
-def has_other_surfaces(scene: bpy.types.Scene) -> bool:
-    """Whether the scene holds anything but splats that Solid mode's colours would repaint."""
+def has_other_surfaces(view_layer: bpy.types.ViewLayer) -> bool:
+    """Whether anything but splats is visible that Solid mode's colours would repaint."""
     return any(
-        obj.type in _SURFACES and not is_splat_object(obj) and not is_helper(obj) for obj in scene.objects
+        obj.type in _SURFACES
+        and not is_splat_object(obj)
+        and not is_helper(obj)
+        and obj.visible_get(view_layer=view_layer)
+        for obj in view_layer.objects
     )
 
 

@@ -156,7 +156,7 @@ def test_other_objects_keep_their_look(tmp_path):
 def test_alone_splats_show_their_colours(tmp_path):
     arrive(tmp_path, figure())
     assert solid_view().color_type == "VERTEX"
-    assert not views.has_other_surfaces(bpy.context.scene)
+    assert not views.has_other_surfaces(bpy.context.view_layer)
 
 
 def test_a_chosen_colour_mode_stays(tmp_path):

@@ -21,6 +21,7 @@ from patience import HANG, interruptible
 from pictures import read_picture
 
 from gskin_addon import cli
+from gskin_addon.core.errors import InputError
 from gskin_addon.core.rig.quaternion import axis_angle_to_matrix
 from gskin_addon.core.rig.weights_file import read_weights_file
 from gskin_addon.core.splats.ply import read_ply, write_ply
@@ -195,6 +196,26 @@ def test_the_input_is_never_overwritten(files, pretended, capsys):
     assert run("rig", files / "rod.ply", "--armature", files / "rig.blend", "--out", files / "rig.blend") == 2
     assert "overwrite" in capsys.readouterr().err
     assert (files / "rig.blend").read_bytes() == before
+
+
+@only_with(*WORKER)
+@pytest.mark.parametrize("agreed", [False, True])
+def test_the_consent_to_download_goes_to_the_worker_alone(files, tmp_path, monkeypatch, agreed):
+    heard = []
+
+    class Client:
+        def __init__(self, python, folder, *, allow_download, **_):
+            heard.append((allow_download, "allow_download" in (folder / "job.json").read_text()))
+
+        def start(self):
+            raise InputError("No worker is started here.")
+
+    monkeypatch.setenv("GSKIN_PYTHON", sys.executable)
+    monkeypatch.setattr(skin_job, "WorkerClient", Client)
+    words = ["rig", files / "rod.ply", "--armature", files / "rig.blend", "--out", tmp_path / "out.blend"]
+    words += ["--guidance", "flux_repair", "--guidance-option", "model=owner/name"]
+    assert run(*words, *(["--allow-download"] if agreed else [])) == 2
+    assert heard == [(agreed, False)]
 
 
 def test_failing_jobs_exit_1_and_leave_nothing(files, pretended, tmp_path, capsys):

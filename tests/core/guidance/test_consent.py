@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import pytest
 import worker_jobs as jobs
@@ -15,7 +14,6 @@ from gskin_addon.core.errors import InputError
 from gskin_addon.core.guidance import consent
 from gskin_addon.core.guidance.provider import GuidanceContext
 from gskin_addon.core.job.contract import write_job
-from gskin_addon.core.job.progress_text import ProgressPrinter
 from gskin_addon.core.job.settings import JobSettings
 from gskin_addon.core.training.guidance import finetune
 from gskin_addon.core.worker.client import WorkerClient
@@ -100,26 +98,11 @@ def test_a_file_that_agrees_does_not_count(tmp_path):
 
 
 @pytest.mark.parametrize("agreed", [False, True])
-def test_rig_gives_it_to_the_worker(tmp_path, monkeypatch, agreed):
+def test_rig_keeps_it_out_of_the_settings(agreed):
     words = ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--guidance", "flux_repair"]
     words += ["--guidance-option", "model=owner/name", *(["--allow-download"] if agreed else [])]
     options = parser.build().parse_args(words)
     assert rig_command.guidance_options(options) == {"model": "owner/name"}
-    heard = []
-
-    class Client:
-        def __init__(self, python, folder, **how):
-            heard.append(how)
-
-        def start(self):
-            return None
-
-        def wait(self, printer):
-            return None
-
-    monkeypatch.setattr(rig_command, "WorkerClient", Client)
-    rig_command._work(Path("python"), tmp_path, ProgressPrinter("none"), options.allow_download)
-    assert heard == [{"allow_download": agreed}]
 
 
 @pytest.mark.parametrize("agreed", [False, True])
