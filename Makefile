@@ -3,10 +3,11 @@
 VENV ?= .venv
 PYTHON ?= python3
 RUN = $(VENV)/bin/python
+DOCS_VENV ?= .venvs/docs
 STAMP = $(VENV)/gskin-setup.sha256
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-versions test-window lint zip repository bench-speed bench-quality clean
+.PHONY: help venv demo test test-versions test-window test-runtime lint zip repository docs bench-speed bench-quality clean
 
 help:
 	@echo 'make venv           the environment in $(VENV), with all that gskin needs'
@@ -14,9 +15,11 @@ help:
 	@echo 'make test           the test suite'
 	@echo 'make test-versions  what needs bpy, under pip bpy 4.5, 5.0, 5.2 and 5.3; ONLY=5.2,5.3 chooses'
 	@echo 'make test-window    the extension in real Blender windows; BLENDER=/path/to/blender, else (as root) 4.3 and 5.2 of Debian'
+	@echo 'make test-runtime   the learning runtime for real, from the package index pip is set up for: minutes, 5 GB'
 	@echo 'make lint           ruff and mypy'
 	@echo 'make zip            the Blender extension, into dist'
 	@echo 'make repository     that, with the listing that Blender installs and updates from, into dist/repository'
+	@echo 'make docs           the documentation as a site, into out/docs; strict: a dead link fails'
 	@echo 'make bench-speed    every bar of speed and memory; ONLY=iteration,standard and REPEATS=3 choose'
 	@echo 'make bench-quality  all ways to make weights, on assets with known ones; tables into docs/benchmarks.md'
 
@@ -37,6 +40,9 @@ test-versions:
 test-window: $(STAMP)
 	@$(RUN) tests/window $(if $(PICTURES),--pictures)
 
+test-runtime: $(STAMP)
+	@$(RUN) tests/runtime
+
 lint: $(STAMP)
 	@$(RUN) -m ruff check .
 	@$(RUN) -m mypy
@@ -46,6 +52,16 @@ zip: $(STAMP)
 
 repository: $(STAMP)
 	@$(RUN) tools/build_repository.py --out dist/repository
+
+# A small environment of its own: what builds the site is no part of what gskin needs.
+$(DOCS_VENV)/gskin-setup.stamp: pyproject.toml
+	@$(PYTHON) -m venv --clear $(DOCS_VENV)
+	@$(DOCS_VENV)/bin/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"]["docs"], sep="\n")' > $(DOCS_VENV)/docs.txt
+	@$(DOCS_VENV)/bin/python -m pip install -q -r $(DOCS_VENV)/docs.txt
+	@touch $@
+
+docs: $(DOCS_VENV)/gskin-setup.stamp
+	@NO_MKDOCS_2_WARNING=1 $(DOCS_VENV)/bin/python -m mkdocs build --strict
 
 bench-speed: $(STAMP)
 	@$(RUN) -m benchmarks.bench_speed $(if $(ONLY),--only $(ONLY)) $(if $(REPEATS),--repeats $(REPEATS))

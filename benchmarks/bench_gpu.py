@@ -34,7 +34,7 @@ from gskin_addon.core.render.photometric import photometric_loss
 from gskin_addon.core.render.rasterizer import prepare
 from gskin_addon.core.rig.skeleton import Skeleton
 from gskin_addon.core.skinning.fields import create_field
-from gskin_addon.core.skinning.optimise import Optimiser, Target
+from gskin_addon.core.skinning.optimise import LearningOptions, Optimiser, Target
 from gskin_addon.core.skinning.presets import PRESETS, Preset
 from gskin_addon.core.splats.cloud import SH_C0, SplatCloud
 
@@ -128,7 +128,8 @@ def bench_schedule(
     seconds, losses = [], []
     for _ in range(runs):
         field = create_field(preset.field, task.cloud.means, task.start)
-        optimiser = Optimiser(task.cloud, task.skeleton, field, targets, preset, rasterizer=backend)
+        options = LearningOptions(rasterizer=backend)
+        optimiser = Optimiser(task.cloud, task.skeleton, field, targets, preset, options=options)
         begun = time.perf_counter()
         losses = [optimiser.step()["render"] for _ in range(preset.iterations)]
         seconds.append(time.perf_counter() - begun)
@@ -151,7 +152,7 @@ def main() -> None:
     print("Warp's kernels on one thread of the processor" if options.on_cpu else cuda_device())
     task = make_task(options.splats, options.bones)
     size = 64 if options.on_cpu else SIZE
-    for backend in ("warp", "gsplat"):
+    for backend in ("warp",):
         try:
             resolve_backend(backend)
         except InputError as error:

@@ -31,7 +31,7 @@ from .assets import ASSETS, RiggedSplats, load_asset
 from .metrics import POSES, held_out_poses
 from .quality.catalog import Entry, candidates, entry_of
 from .quality.methods import create_method
-from .quality.methods.base import Subject
+from .quality.methods.base import MethodInput
 
 SEED = 977  # the Judge's, which no training uses
 BASELINES = ("visibility", "geodesic", "elastic")
@@ -62,7 +62,7 @@ def baselines(name: str, splats: int, kept: Path) -> dict[str, float]:
         distances = body_distances(asset.cloud, asset.skeleton)
         unit = np.square(distances / unit_frame(asset.cloud.means)[1])
         found = {
-            "visibility": create_method("initial").make(Subject(asset, asset.skeleton, None)).weights,
+            "visibility": create_method("initial").make(MethodInput(asset, asset.skeleton, None)).weights,
             "geodesic": falloff_weights(unit, sharpness=GEODESIC_SHARPNESS),
             "elastic": BoneHeat(asset.cloud, distances).weights(),
         }

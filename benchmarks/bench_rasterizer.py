@@ -22,8 +22,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks import torch_rasterizer
 from gskin_addon.core.render.camera import Camera, paper_views, percentile_bounds
-from gskin_addon.core.render.cpu.backend import CpuScene, morton_order, prepare, thread_count
+from gskin_addon.core.render.cpu.backend import CpuScene, prepare, thread_count
 from gskin_addon.core.render.photometric import photometric_loss
+from gskin_addon.core.splats.morton import morton_order
 
 SIZES = ((10_000, 256), (50_000, 256), (50_000, 512), (200_000, 512))
 Splats = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]

@@ -24,7 +24,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 import numpy as np
 import torch
 
-from benchmarks import bench_gpu, torch_rasterizer
+from benchmarks import bench_gpu, bench_response, torch_rasterizer
 from benchmarks.bench_rasterizer import measure, shell
 from benchmarks.figure import figure
 from benchmarks.jobs import Cost, run_job
@@ -32,7 +32,7 @@ from benchmarks.markers import write_between
 from gskin_addon.core.guidance.control import make_signals
 from gskin_addon.core.guidance.oracle import Oracle
 from gskin_addon.core.guidance.provider import GuidanceContext
-from gskin_addon.core.pipeline.run import to_unit_size
+from gskin_addon.core.pipeline.steps import to_unit_size
 from gskin_addon.core.render.backends import cuda_device
 from gskin_addon.core.render.camera import paper_views, percentile_bounds
 from gskin_addon.core.render.cpu.backend import prepare
@@ -41,7 +41,7 @@ from gskin_addon.core.render.rasterizer import render_cloud
 from gskin_addon.core.render.reference import render as render_slowly
 from gskin_addon.core.skinning.fields import create_field
 from gskin_addon.core.skinning.initial import initial_weights
-from gskin_addon.core.skinning.optimise import Optimiser, Target, look_schedule
+from gskin_addon.core.skinning.optimise import LearningOptions, Optimiser, Target, visibility_schedule
 from gskin_addon.core.skinning.presets import Preset
 from gskin_addon.core.skinning.subset import choose_subset
 
@@ -127,29 +127,30 @@ def make_optimiser(splats: int, bones: int, size: int, batch: int, poses: int = 
     images = Oracle(GuidanceContext(cloud, skeleton, initial, initial), asset.weights[subset.index]).images(signals)
     targets = [Target(s.camera, s.transforms, image) for s, image in zip(signals, images, strict=True)]
     field = create_field("pyramid", cloud.means, initial)
-    return Optimiser(cloud, skeleton, field, targets, Preset("", poses, ((size, 10_000),), batch), rasterizer="cpu")
+    preset = Preset("", poses, ((size, 10_000),), batch)
+    return Optimiser(cloud, skeleton, field, targets, preset, options=LearningOptions(rasterizer="cpu"))
 
 
 def iteration_cost(optimiser: Optimiser, repeats: int) -> tuple[float, float, float]:
     """Wall and core milliseconds for each render of a whole iteration, its share in looking at what the views see
     included, and the core milliseconds of that share."""
     batch, images = optimiser.preset.batch, len(optimiser.targets)
-    looks = sorted(look_schedule(optimiser.preset, images))
-    share = batch * (looks[1] - looks[0])  # renders between looks
-    look = measure(lambda k: optimiser.look(), repeats) if optimiser.looks else (0.0, 0.0)
+    updates = sorted(visibility_schedule(optimiser.preset, images))
+    share = batch * (updates[1] - updates[0])  # renders between updates
+    update = measure(lambda k: optimiser.update_visible(), repeats) if optimiser.visibility_updates else (0.0, 0.0)
     for _ in range(2):
         optimiser.step()
     step = measure(lambda k: optimiser.step(), max(6, 2 * repeats))
-    wall, core = (mine / batch + looking / share for mine, looking in zip(step, look, strict=True))
-    return wall, core, look[1] / share
+    wall, core = (mine / batch + looking / share for mine, looking in zip(step, update, strict=True))
+    return wall, core, update[1] / share
 
 
 def iteration_bars(repeats: int) -> Iterator[Bar]:
     """A full iteration of `standard`'s last stage."""
-    wall, core, look = iteration_cost(make_optimiser(SPLATS, BONES, SIZE, BATCH), repeats)
+    wall, core, update = iteration_cost(make_optimiser(SPLATS, BONES, SIZE, BATCH), repeats)
     yield Bar("iteration_wall_ms_per_render", wall, None)
     yield Bar("iteration_core_ms_per_render", core, 60)
-    yield Bar("looking_core_ms_per_render", look, None)
+    yield Bar("looking_core_ms_per_render", update, None)
 
 
 def _jobs(preset: str, repeats: int, splats: int = SPLATS, bones: int = BONES) -> list[Cost]:
@@ -200,6 +201,15 @@ def large_bars(repeats: int) -> Iterator[Bar]:
     yield Bar("large_draft_seconds", _middle(costs, lambda c: c.wall), None, core)
 
 
+def response_bars(repeats: int) -> Iterator[Bar]:
+    """What a person waits for in the window; of the calls that must never wait, and of cancelling, the slowest."""
+    yield Bar("response_read_seconds", bench_response.read_seconds(repeats), 0.8)
+    answers = bench_response.cancel_jobs(repeats)
+    yield Bar("response_poll_ms", 1000 * max(answers.poll), 50)
+    yield Bar("response_cancel_call_ms", 1000 * max(answers.cancel), 50)
+    yield Bar("response_cancelled_seconds", max(answers.end), 1.0)
+
+
 def gpu_bars(repeats: int) -> Iterator[str]:
     """What `bench_gpu` prints, by the GPU's name."""
     if not cuda_device():
@@ -217,6 +227,7 @@ BARS: dict[str, Callable[[int], Iterator[Bar | str]]] = {
     "gradient": gradient_bars,
     "iteration": iteration_bars,
     "rasterizer": rasterizer_bars,
+    "response": response_bars,
     "default": default_bars,
     "standard": standard_bars,
     "large": large_bars,

@@ -22,7 +22,7 @@ from gskin_addon.core.guidance import create_provider
 from gskin_addon.core.guidance.control import make_signals
 from gskin_addon.core.guidance.oracle import Oracle
 from gskin_addon.core.guidance.provider import GuidanceContext
-from gskin_addon.core.pipeline.run import to_unit_size
+from gskin_addon.core.pipeline.steps import to_unit_size
 from gskin_addon.core.render.camera import evaluation_views, percentile_bounds
 from gskin_addon.core.render.rasterizer import render_cloud
 from gskin_addon.core.rig.lbs import skin_points, sparsify
@@ -31,7 +31,7 @@ from gskin_addon.core.skinning.fields import create_field
 from gskin_addon.core.skinning.geodesic import body_distances
 from gskin_addon.core.skinning.initial import initial_weights
 from gskin_addon.core.skinning.losses import LossWeights
-from gskin_addon.core.skinning.optimise import Optimiser, Target
+from gskin_addon.core.skinning.optimise import LearningOptions, Optimiser, Target
 from gskin_addon.core.skinning.presets import Preset
 from gskin_addon.core.skinning.subset import choose_subset
 from gskin_addon.core.splats.cloud import SplatCloud
@@ -83,7 +83,12 @@ class Case:
         """Weights (M, B) after a run with these settings; `options` go to the optimiser."""
         made = create_field(field, self.cloud.means, self.initial, field_options)
         optimiser = Optimiser(
-            self.cloud, self.skeleton, made, self.targets, preset, losses=losses or LossWeights(), seed=seed, **options
+            self.cloud,
+            self.skeleton,
+            made,
+            self.targets,
+            preset,
+            options=LearningOptions(losses=losses or LossWeights(), seed=seed, **options),
         )
         for _ in range(preset.iterations):
             optimiser.step()

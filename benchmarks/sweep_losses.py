@@ -20,9 +20,8 @@ import numpy as np
 
 from benchmarks.dev_assets import DEV, GUIDANCE, SCHEDULE, Case, case
 from gskin_addon.core.skinning.fields.pyramid import SparsePyramid
-from gskin_addon.core.skinning.fields.refined import RefinedField
 from gskin_addon.core.skinning.losses import LossWeights
-from gskin_addon.core.skinning.optimise import Optimiser
+from gskin_addon.core.skinning.optimise import LearningOptions, Optimiser
 
 BASE: dict[str, Any] = {"arap": 0.02, "coupling": 20.0, "anchor": 0.0, "arap_neighbours": 30}
 """Where the sweep began; what is not here is as in `LossWeights`."""
@@ -48,7 +47,6 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "anchor=0.0003": {"anchor": 0.0003},
     "anchor=0.001": {"anchor": 0.001},
     "anchor=0.003": {"anchor": 0.003},
-    "refine 0.6": {"refine": 0.6},
     "rate 0.05": {"rate": 0.05},
     "rate 0.2": {"rate": 0.2},
     "K1=10 arap=0.04": {"arap_neighbours": 10, "arap": 0.04},
@@ -57,24 +55,22 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "K1=10 coupling=10 anchor=0.0001": TOGETHER,
     "K1=10 coupling=10 anchor=0.0003": {**TOGETHER, "anchor": 0.0003},
     "K1=10 coupling=10 anchor=0.0001 rate=0.05": {**TOGETHER, "rate": 0.05},
-    "K1=10 coupling=10 anchor=0.0001 refine=0.6": {**TOGETHER, "refine": 0.6},
 }
-"""Names and what is changed: options of LossWeights; `refine`: where per-splat logits begin; `rate`: Adam's."""
+"""Names and what is changed: options of LossWeights; `rate`: Adam's."""
 
 
 def learned(problem: Case, change: dict[str, Any]) -> float:
     """The error after learning with a setting."""
     options = {**BASE, **change}
-    refine, rate = options.pop("refine", None), options.pop("rate", SCHEDULE.learning_rate)
+    rate = options.pop("rate", SCHEDULE.learning_rate)
     preset = replace(SCHEDULE, learning_rate=rate)
-    field = SparsePyramid(problem.cloud.means, problem.initial)
     optimiser = Optimiser(
         problem.cloud,
         problem.skeleton,
-        field if refine is None else RefinedField(field, refine),
+        SparsePyramid(problem.cloud.means, problem.initial),
         problem.targets,
         preset,
-        losses=replace(LossWeights(), **options),
+        options=LearningOptions(losses=replace(LossWeights(), **options)),
     )
     for _ in range(preset.iterations):
         optimiser.step()

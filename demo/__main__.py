@@ -13,8 +13,8 @@ import numpy as np
 
 from gskin_addon.commands.console import quiet_stdout
 from gskin_addon.core.files import write_text
-from gskin_addon.core.job.contract import read_weights
 from gskin_addon.core.rig.lbs import sparsify
+from gskin_addon.core.rig.weights_file import read_weights_file
 from gskin_addon.core.splats.ply import read_ply, write_ply
 
 SPLATS = 40_000
@@ -34,7 +34,7 @@ def main() -> int:
     out.mkdir(parents=True, exist_ok=True)
     started = time.monotonic()
 
-    say("modelling Brindle: 29 bones, horns, cape, kilt and tail")
+    print_message("modelling Brindle: 29 bones, horns, cape, kilt and tail")
     from gskin_addon.scene.armature import read_skeleton
     from gskin_addon.scene.rig_files import save_blend
 
@@ -55,19 +55,19 @@ def main() -> int:
     if options.character_only:
         return 0
 
-    say(f"{cloud.count:,} splats in {ply}; the job sees these and {rig}, nothing else")
+    print_message(f"{cloud.count:,} splats in {ply}; the job sees these and {rig}, nothing else")
     gskin("rig", ply, "--armature", rig, "--out", rigged, "--weights", weights, "--preset", options.preset)
     gskin("pose", rigged, "--out", out / "brindle.glb")
 
-    say("comparing with the true weights")
+    print_message("comparing with the true weights")
     cloud = read_ply(ply).cloud
-    learned = read_weights(weights).weights
+    learned = read_weights_file(weights).weights
     start = sparsify(report.initial_of(cloud, skeleton), 4)
     scores = report.score(cloud, skeleton, truth, {"initial": start, "learned": learned})
     summary = report.table(scores)
     write_text(out / "report.txt", summary + "\n")
 
-    say("drawing")
+    print_message("drawing")
     compared = {"initial weights": start, "learned weights": learned, "truth": truth}
     poses = {name: report.transforms_of(skeleton, turns) for name, turns in POSES.items()}
     sheet = pictures.contact_sheet(cloud, poses, compared, POSE_VIEWS, cell=360)
@@ -88,20 +88,20 @@ def main() -> int:
         "weights.npz",
     ):
         print(f"{(out / name).stat().st_size / 1e6:8.1f} MB  {out / name}")
-    say(f"done in {time.monotonic() - started:.0f} s")
+    print_message(f"done in {time.monotonic() - started:.0f} s")
     return 0
 
 
 def gskin(*arguments: object) -> None:
     """The command line, as a person would type it."""
     words = [str(argument) for argument in arguments]
-    say("gskin " + " ".join(words))
+    print_message("gskin " + " ".join(words))
     code = subprocess.call([sys.executable, "-m", "gskin_addon.cli", *words])
     if code != 0:
         raise SystemExit(code)
 
 
-def say(message: str) -> None:
+def print_message(message: str) -> None:
     """One line for the person who waits."""
     print(f"demo: {message}", flush=True)
 

@@ -34,7 +34,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def execute(options: argparse.Namespace) -> int:
     """Run parsed options and turn whatever goes wrong into one sentence and an exit code."""
-    from .commands.console import quiet_stdout, say
+    from .commands.console import print_message, quiet_stdout
     from .core.errors import Cancelled, GSkinError, Stopped
     from .core.files import disk_error
 
@@ -44,21 +44,21 @@ def execute(options: argparse.Namespace) -> int:
         with contextlib.nullcontext() if options.verbose else quiet_stdout():
             module.run(options)
     except Stopped as stop:
-        say(_sentence(stop))
+        print_message(_sentence(stop))
         return CANCELLED
     except (KeyboardInterrupt, Cancelled):
-        say("Cancelled; no output was written.")
+        print_message("Cancelled; no output was written.")
         return CANCELLED
     except GSkinError as error:
-        say(_sentence(error), getattr(error, "traceback", "") if options.verbose else "")
+        print_message(_sentence(error), getattr(error, "traceback", "") if options.verbose else "")
         return error.exit_code
     except OSError as error:
-        say(_sentence(disk_error(error)), traceback.format_exc() if options.verbose else "")
+        print_message(_sentence(disk_error(error)), traceback.format_exc() if options.verbose else "")
         return 1
     except Exception as error:
         hint = "" if options.verbose else "; run again with --verbose for the details"
         details = traceback.format_exc() if options.verbose else ""
-        say(f"gskin failed unexpectedly ({type(error).__name__}: {error}){hint}.", details)
+        print_message(f"gskin failed unexpectedly ({type(error).__name__}: {error}){hint}.", details)
         return 1
     finally:
         for number, handler in previous.items():

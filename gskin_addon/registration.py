@@ -5,9 +5,32 @@ from __future__ import annotations
 
 import bpy
 
-from .operators import anchor, auto_skin, bind, check_python, cleanup, command_line, confidence, import_splats
-from .scene import handlers
+from .operators import (
+    anchor,
+    auto_skin,
+    bind,
+    cancel_runtime,
+    center_rig,
+    check_again,
+    check_python,
+    cleanup,
+    command_line,
+    confidence,
+    enable_deform,
+    even_scale,
+    export_glb,
+    fix_rig_scale,
+    import_splats,
+    install_runtime,
+    job_presets,
+    place,
+    remove_runtime,
+    repair_runtime,
+    save_weights,
+)
+from .scene import follow_display, follow_transforms, handlers, helpers
 from .session import guidance_settings, properties
+from .ui import job_presets as job_presets_menu
 from .ui import panel, preferences, splat_panels
 
 # Each has CLASSES, and register() and unregister() where there is more to do.
@@ -16,16 +39,33 @@ MODULES = (
     properties,
     preferences,
     check_python,
+    install_runtime,
+    repair_runtime,
+    cancel_runtime,
+    remove_runtime,
     import_splats,
+    place,
+    enable_deform,
+    even_scale,
+    fix_rig_scale,
+    center_rig,
+    check_again,
     cleanup,
     bind,
+    save_weights,
+    export_glb,
     confidence,
     anchor,
     auto_skin,
     command_line,
+    job_presets,
+    job_presets_menu,
     panel,
     splat_panels,
     handlers,
+    helpers,
+    follow_transforms,
+    follow_display,
 )
 
 

@@ -16,8 +16,8 @@ from benchmarks.assets import load_asset
 from .catalog import entry_of
 from .judge import Judge
 from .lpips import Perceptual
-from .methods import Subject, Unavailable, create_method
-from .methods.base import Made, rigid_weights
+from .methods import MethodInput, Unavailable, create_method
+from .methods.base import MethodResult, rigid_weights
 from .perturb import DISTURBANCES
 from .protocol import Protocol
 from .results import FAILED, OK, OWN, PARTLY, Result, save_weights, weights_path
@@ -56,11 +56,11 @@ def perform(task: Task, protocol: Protocol, folder: Path, lpips: Perceptual | No
     asset = load_asset(task.asset, protocol.splats, protocol.seed, unused_bones=protocol.unused_bones)
     case = DISTURBANCES[task.skeleton](asset)
     judge = Judge(case.asset, protocol, lpips)
-    subject = Subject(case.asset, case.skeleton, case.truth)
+    subject = MethodInput(case.asset, case.skeleton, case.truth)
     assert subject.masks.size  # made here, so that no method pays for them
     entry = entry_of(task.asset)
 
-    def judged(method: str, made: Made, status: str, seconds: float | None) -> Result:
+    def judged(method: str, made: MethodResult, status: str, seconds: float | None) -> Result:
         weights = made.weights @ case.fold
         if task.skeleton == OWN and status != FAILED:
             save_weights(weights_path(folder, task.asset, method, protocol.key), weights)
@@ -69,8 +69,8 @@ def perform(task: Task, protocol: Protocol, folder: Path, lpips: Perceptual | No
             status, made.note, seconds, asdict(judge.score(weights)),
         )  # fmt: skip
 
-    def lost(why: str) -> Made:
-        return Made(rigid_weights(subject.cloud.means, subject.skeleton), why)
+    def lost(why: str) -> MethodResult:
+        return MethodResult(rigid_weights(subject.cloud.means, subject.skeleton), why)
 
     for method, why in task.failed:
         yield "result", judged(method, lost(why), FAILED, None)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the command line says while it works. All of it goes to stderr."""
+"""Messages of the command line. All of them go to stderr."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import sys
 from collections.abc import Iterator
 
 
-def say(sentence: str, details: str = "") -> None:
-    """One line for the person; `details` (a traceback) before it."""
+def print_message(sentence: str, details: str = "") -> None:
+    """Print one line for the user, after `details` (a traceback)."""
     text = f"{details.rstrip()}\n{sentence}\n" if details else f"{sentence}\n"
     sys.stderr.write(text)
     sys.stderr.flush()

@@ -9,13 +9,15 @@ from typing import Any, NoReturn
 
 from ..core.guidance import DEFAULT_GUIDANCE, GUIDANCE
 from ..core.job.settings import FRONTS, PRESET_FIELD
+from ..core.job.up_axis import UP_CHOICES
 from ..core.render.backends import AUTO, BACKENDS
 from ..core.skinning.fields import WEIGHT_FIELDS
 from ..core.skinning.initial import DEFAULT_INITIAL, INITIAL_WEIGHTS
 from ..core.skinning.presets import DEFAULT_PRESET, PRESETS
 from ..core.splats.axes import UP_AXES
+from ..core.worker.runtime_choice import BACKENDS as TORCH_BACKENDS
 
-VERSION = "0.1.0"
+VERSION = "0.2.0"
 TRAINING_STEPS = 500
 TRAINING_CREATURES = 480
 TRAINING_NETWORKS = 3
@@ -44,6 +46,7 @@ def build() -> argparse.ArgumentParser:
     _render(commands)
     _train_guidance(commands)
     _train_prior(commands)
+    _runtime(commands)
     return parser
 
 
@@ -68,7 +71,9 @@ def _rig(commands: Any) -> None:
         help="a mesh of the same object (.obj, .ply, .glb, .npz, ...): learn weights on it, hang the splats on it",
     )
     rig.add_argument("--mesh-up", choices=UP_AXES, help="that mesh's up axis (default: y for .glb and .gltf, else z)")
-    rig.add_argument("--ply-up", choices=UP_AXES, default="z", help="the PLY's up axis (default: Blender's, z)")
+    rig.add_argument(
+        "--ply-up", choices=UP_CHOICES, default="z", help="the PLY's up axis, or auto to guess it (default: z)"
+    )
     rig.add_argument("--drop-invalid", action="store_true", help="leave out splats with NaN or infinite values")
     rig.add_argument("--drop-strays", action="store_true", help="leave out splats off the body and faint giants")
     rig.add_argument(
@@ -266,6 +271,44 @@ def _train_prior(commands: Any) -> None:
     train.add_argument("--threads", type=_positive, default=2, metavar="N", help="(default: %(default)s)")
     _progress(train)
     _common(train)
+
+
+def _runtime(commands: Any) -> None:
+    runtime = commands.add_parser(
+        "runtime",
+        help="install the Python with torch that guidance needs",
+        description="Install, look at, repair or remove the learning runtime (docs/install.md). Stopped, the same "
+        "command goes on where it was.",
+        allow_abbrev=False,
+    )
+    actions = runtime.add_subparsers(dest="action", required=True, metavar="ACTION", parser_class=_Parser)
+    tips = {
+        "install": "make it, complete it or bring it up to date",
+        "status": "say how it is; exit code 2 where none works",
+        "repair": "compare every file with what was installed, and fetch again what is not whole",
+        "remove": "delete it",
+    }
+    for name, tip in tips.items():
+        action = actions.add_parser(name, help=tip, description=tip[:1].upper() + tip[1:] + ".", allow_abbrev=False)
+        action.add_argument("--folder", type=Path, metavar="F", help="its folder (default: $GSKIN_RUNTIME, or yours)")
+        if name in ("install", "repair"):
+            action.add_argument(
+                "--backend",
+                default="auto",
+                choices=("auto", *TORCH_BACKENDS),
+                help="what torch computes on (default: as the drivers say)",
+            )
+            action.add_argument(
+                "--no-diffusion", dest="diffusion", action="store_false", help="without what diffusion guidances need"
+            )
+            source = action.add_mutually_exclusive_group()
+            source.add_argument("--index", default="", metavar="URL", help="an index, or pip: as pip is set up")
+            source.add_argument("--wheels", type=Path, metavar="FOLDER", help="a folder of wheels, without network")
+            action.add_argument("--base", metavar="PYTHON", help="the Python to build on (default: this one)")
+            _progress(action)
+        if name == "remove":
+            action.add_argument("--yes", action="store_true", help="really")
+        _common(action)
 
 
 def _front(parser: argparse.ArgumentParser) -> None:

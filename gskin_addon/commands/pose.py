@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from ..core.errors import InputError
 from ..core.splats.ply import write_ply
 from .blender import require_bpy
-from .console import say
+from .console import print_message
 from .paths import check_output, same_file
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> None:
         export_glb(options.out, [obj])
     else:
         rig_files.save_blend(options.out)
-    say(f"'{obj.name}' is posed in '{options.out}'.")
+    print_message(f"'{obj.name}' is posed in '{options.out}'.")
 
 
 def open_posed(options: argparse.Namespace) -> bpy.types.Object:
@@ -88,7 +88,7 @@ def parse_turns(given: list[list[str]]) -> dict[str, tuple[float, float, float]]
 def _assign_action(armature: bpy.types.Object, name: str) -> None:
     import bpy
 
-    action = bpy.data.actions.get(name)
+    action: bpy.types.Action | None = bpy.data.actions.get(name)
     if action is None:
         names = ", ".join(f"'{found.name}'" for found in bpy.data.actions) or "none"
         raise InputError(f"There is no action '{name}'; the file has {names}.")

@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from ..core.errors import GSkinError, InputError
 from ..core.files import write_png
 from ..core.job.settings import FRONTS
+from ..core.splats.axes import rotate_cloud, up_rotation
 from ..core.splats.cloud import SH_C0, SplatCloud
 from ..core.splats.ply import write_ply
 from ..core.worker.interpreter import find_worker_python, worker_environment
-from .console import say
+from .console import print_message
 from .paths import check_output
 from .pose import open_posed
 from .rig import read_splats
@@ -35,7 +36,8 @@ def run(options: argparse.Namespace) -> None:
     if options.source.suffix.lower() == ".ply":
         if options.engine == "cycles" or options.color != "splats" or options.rotate or options.frame is not None:
             raise InputError(f"'{options.source}' has no rig to pose, colour or render by; give a rigged .blend.")
-        draw(read_splats(options.source, options.ply_up, drop_invalid=True), options)
+        cloud = read_splats(options.source, drop_invalid=True)
+        draw(rotate_cloud(cloud, up_rotation(options.ply_up)), options)
     else:
         obj = open_posed(options)
         if options.engine == "cycles":
@@ -55,7 +57,7 @@ def run(options: argparse.Namespace) -> None:
                 draw(cloud, options)
             else:
                 _draw_elsewhere(cloud, options)
-    say(f"'{options.out}' is drawn.")
+    print_message(f"'{options.out}' is drawn.")
 
 
 def draw(cloud: SplatCloud, options: argparse.Namespace) -> None:

@@ -6,31 +6,35 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
+from ..core.files import replaced
 from ..core.guidance.options import PROVIDER_OPTIONS, check_models, with_absolute_folders
-from ..core.job.contract import Result, write_job, write_weights
-from ..core.job.mesh_files import read_mesh, write_mesh
+from ..core.job.contract import WEIGHTS
+from ..core.job.mesh_files import read_mesh
 from ..core.job.progress import ProgressEvent
 from ..core.job.progress_text import ProgressPrinter
 from ..core.job.settings import JobSettings
-from ..core.rig.lbs import sparsify
+from ..core.job.up_axis import resolve_up
 from ..core.splats.axes import rotate_cloud, up_rotation
 from ..core.splats.cleanup import clamp_aspect, find_faint_giants, find_strays, isotropic
 from ..core.splats.cloud import SplatCloud
 from ..core.splats.ply import read_ply
-from ..core.worker.client import WorkerClient
-from ..core.worker.interpreter import find_worker_python
+from ..core.worker.own_python import job_python
 from .blender import require_bpy
-from .console import say
+from .console import print_message
 from .paths import check_output, same_file
 
 if TYPE_CHECKING:
     import bpy
+    from numpy.typing import NDArray
+
+    Array = NDArray[Any]
 
 
 def run(options: argparse.Namespace) -> None:
@@ -42,23 +46,10 @@ def run(options: argparse.Namespace) -> None:
     for given in (options.armature, options.splats, *([options.mesh] if options.mesh else [])):
         if same_file(given, options.out):
             raise InputError(f"--out '{options.out}' would overwrite its own input; choose another name.")
-    python = find_worker_python(options.python)
-    if python is None:
-        raise InputError(
-            "No Python with torch was found for the worker; name one with --python or GSKIN_PYTHON "
-            "(pip install 'gskin_addon[worker]' makes one)."
-        )
-    cloud = read_splats(options.splats, options.ply_up, options.drop_invalid)
+    cloud = read_splats(options.splats, options.drop_invalid)
     cloud = clean(cloud, options.drop_strays, options.max_aspect, options.isotropic)
     mesh = None if options.mesh is None else read_proxy(options.mesh, options.mesh_up)
 
-    require_bpy()
-    from ..scene import rig_files
-    from ..scene.armature import read_skeleton
-
-    rig_files.empty_scene()
-    armature = rig_files.import_armature(options.armature, options.armature_name)
-    skeleton = read_skeleton(armature)
     settings = {
         "preset": options.preset,
         "init": options.init,
@@ -71,35 +62,50 @@ def run(options: argparse.Namespace) -> None:
         "init_options": {"model": str(options.init_model.absolute())} if options.init_model else {},
         "options": of_guidance,
     }
-    JobSettings.parse(settings)
-    printer = ProgressPrinter(options.progress)
-    with _job_folder(options.job_dir) as folder, contextlib.closing(printer):
-        if mesh is not None:
-            settings["mesh"] = write_mesh(folder, *mesh)
-        write_job(
-            folder,
-            cloud,
-            skeleton,
+    needs_runtime = JobSettings.parse(settings).needs_runtime or options.mesh is not None
+    python = job_python(needs_runtime, options.python or "")
+
+    require_bpy()
+    from ..scene import names, rig_files
+    from ..scene.armature import read_skeleton
+    from ..scene.proxy_object import create_mesh_object
+    from ..scene.splat_object import create_splat_object
+    from ..session.skin_job import SkinJob
+
+    rig_files.empty_scene()
+    armature = rig_files.import_armature(options.armature, options.armature_name)
+    up, assumed = resolve_up(options.ply_up, cloud, read_skeleton(armature))
+    if assumed:
+        print_message(f"'{options.splats}': {assumed}.")
+    splats = create_splat_object(rotate_cloud(cloud, up_rotation(up)), options.splats.stem)
+    splats.data[names.MARK]["up"] = up
+    proxy = None if mesh is None else create_mesh_object(options.mesh.stem, *mesh)
+    # glTF knows no anchors: there the splats keep weights of their own, blended from the mesh's.
+    anchored = options.out.suffix.lower() == ".blend"
+    with _job_folder(options.job_dir) as folder, contextlib.closing(ProgressPrinter(options.progress)) as printer:
+        job = SkinJob.start(
+            splats,
+            armature,
             settings,
-            splats=f"'{options.splats}'",
-            armature=f"Armature '{armature.name}'",
-            up=options.ply_up,
+            python,
+            proxy,
+            anchored=anchored,
+            folder=folder,
+            label=f"'{options.splats}'",
+            allow_download=options.allow_download,
         )
-        result = _work(python, folder, printer)
-        weights = sparsify(result.weights, options.max_influences)
+        job.wait(printer)
         printer(ProgressEvent("save", 1.0, message=options.out.name))
         if options.weights is not None:
-            write_weights(options.weights, weights, skeleton, result.mesh_weights, result.confidence)
-        obj = _bind(cloud, options.splats.stem, armature, weights, result, options.max_influences)
-        # glTF knows no anchors: there the splats keep weights of their own, blended from the mesh's.
-        if mesh is not None and options.out.suffix.lower() == ".blend":
-            _anchor(obj, options.mesh.stem, mesh, armature, result)
-        _save(options.out, obj)
-    say(f"{cloud.count:,} splats follow {skeleton.count} bones in '{options.out}'.")
+            with replaced(options.weights) as temporary:
+                shutil.copyfile(job.client.folder / WEIGHTS, temporary)
+        sentence = job.apply()
+        _save(options.out, splats)
+    print_message(f"{sentence}, in '{options.out}'.")
 
 
-def read_splats(path: Path, up: str, drop_invalid: bool) -> SplatCloud:
-    """The splats of a .ply in Blender's world axes; says how many were dropped."""
+def read_splats(path: Path, drop_invalid: bool) -> SplatCloud:
+    """The splats of a .ply with the file's own axes; says how many were dropped."""
     if path.suffix.lower() != ".ply":
         raise InputError(f"'{path}' is no .ply file; export the splats as a Gaussian splat .ply.")
     if not path.is_file():
@@ -107,8 +113,8 @@ def read_splats(path: Path, up: str, drop_invalid: bool) -> SplatCloud:
     splats = read_ply(path, drop_invalid=drop_invalid)
     dropped = splats.total - splats.cloud.count
     if dropped:
-        say(f"'{path}': {dropped:,} invalid splats of {splats.total:,} were left out.")
-    return splats.cloud if up == "z" else rotate_cloud(splats.cloud, up_rotation(up))
+        print_message(f"'{path}': {dropped:,} invalid splats of {splats.total:,} were left out.")
+    return splats.cloud
 
 
 def read_proxy(path: Path, up: str | None) -> tuple[Any, Any]:
@@ -122,11 +128,12 @@ def clean(cloud: SplatCloud, drop_strays: bool, max_aspect: float, balls: bool) 
     """The splats without what deforms badly; says how many were changed."""
     if drop_strays:
         strays, giants = find_strays(cloud), find_faint_giants(cloud)
-        say(f"{strays.sum():,} strays and {giants.sum():,} faint giants of {cloud.count:,} splats were left out.")
+        counts = f"{strays.sum():,} strays and {giants.sum():,} faint giants of {cloud.count:,} splats"
+        print_message(f"{counts} were left out.")
         cloud = cloud.select(~(strays | giants))
     if max_aspect:
         cloud, needles = clamp_aspect(cloud, max_aspect)
-        say(f"{needles.sum():,} needles of {cloud.count:,} splats were widened.")
+        print_message(f"{needles.sum():,} needles of {cloud.count:,} splats were widened.")
     return isotropic(cloud) if balls else cloud
 
 
@@ -156,36 +163,8 @@ def guidance_options(options: argparse.Namespace) -> dict[str, Any]:
     for name, text in texts.items():
         if isinstance(getattr(kinds(), name, None), str):
             values[name] = text  # a folder called 7 is still a name
-    if options.allow_download:
-        values["allow_download"] = True
     check_models(options.guidance, values)
     return with_absolute_folders(options.guidance, values)
-
-
-def _work(python: Path, folder: Path, printer: ProgressPrinter) -> Result:
-    client = WorkerClient(python, folder)
-    client.start()
-    return client.wait(printer)
-
-
-def _bind(
-    cloud: SplatCloud, name: str, armature: object, weights: object, result: Result, influences: int
-) -> bpy.types.Object:
-    from ..scene.splat_object import create_splat_object
-    from ..scene.weights import write_weights as write_groups
-
-    obj = create_splat_object(cloud, name)
-    write_groups(
-        obj, armature, weights, result.bones, max_influences=influences, confidence=result.confidence
-    )
-    return obj
-
-
-def _anchor(obj: object, name: str, mesh: tuple[Any, Any], armature: object, result: Result) -> None:
-    from ..scene.anchored import anchor_to_mesh
-    from ..scene.proxy_object import create_proxy
-
-    anchor_to_mesh(obj, create_proxy(name, *mesh, armature, result.mesh_weights, result.bones))
 
 
 def _save(out: Path, obj: bpy.types.Object) -> None:

@@ -11,7 +11,7 @@ from ..core.errors import InputError, Stopped
 from ..core.job.progress import ProgressEvent
 from ..core.job.progress_text import ProgressPrinter
 from ..core.pipeline.eta import StageEta
-from .console import say
+from .console import print_message
 from .rig import parse_options
 
 
@@ -64,15 +64,16 @@ def _pairs(options: argparse.Namespace, reporter: Reporter) -> None:
     made = make_pairs(options.assets, options.out, settings, reporter)
     reporter.close()
     for name, reason in made["failed"].items():
-        say(f"'{name}' was left out: {reason}")
+        print_message(f"'{name}' was left out: {reason}")
     count = {split: sum(s["pairs"] for s in made["shards"] if s["split"] == split) for split in ("train", "validation")}
-    say(f"'{options.out}' holds {count['train']:,} pairs to train on and {count['validation']:,} to validate.")
+    pairs = f"{count['train']:,} pairs to train on and {count['validation']:,} to validate"
+    print_message(f"'{options.out}' holds {pairs}.")
 
 
 def _tune(options: argparse.Namespace, reporter: Reporter) -> None:
     from ..core.training.guidance.finetune import tune
 
-    settings = {**parse_options(options.option, "--option"), "allow_download": options.allow_download}
-    sentence = tune(options.pairs, options.out, settings, reporter)
+    settings = parse_options(options.option, "--option")
+    sentence = tune(options.pairs, options.out, settings, reporter, allow_download=options.allow_download)
     reporter.close()
-    say(sentence)
+    print_message(sentence)

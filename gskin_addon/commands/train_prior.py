@@ -14,11 +14,12 @@ from ..core.errors import InputError
 from ..core.job.progress import ProgressEvent
 from ..core.job.progress_text import ProgressPrinter
 from ..core.pipeline.eta import StageEta
-from .console import say
+from .console import print_message
 from .paths import check_output
 
 if TYPE_CHECKING:
-    from ..core.training.prior.train import Syllabus, Trainer
+    from ..core.training.prior.sampling_plan import SamplingPlan
+    from ..core.training.prior.train import Trainer
 
 _MODULES = ("torch", "numba", "scipy", "safetensors")
 _CHECKPOINT_SECONDS = 30.0
@@ -35,11 +36,11 @@ def run(options: argparse.Namespace) -> None:
     import torch
 
     from ..core.training.catalogue import list_assets
-    from ..core.training.prior.sampling_plan import FOLDS, NEVER, collect, plan
+    from ..core.training.prior.sampling_plan import ALWAYS_LEFT_OUT, FOLDS, make_samples, plan_samples
 
     torch.set_num_threads(options.threads)
     assets = list_assets(options.assets, near_duplicates=True)
-    left = tuple(dict.fromkeys((*options.leave_out, *FOLDS.get(options.fold, ()), *NEVER)))
+    left = tuple(dict.fromkeys((*options.leave_out, *FOLDS.get(options.fold, ()), *ALWAYS_LEFT_OUT)))
     if options.fold and options.fold not in FOLDS:
         raise InputError(f"There is no fold '{options.fold}'; choose one of {', '.join(FOLDS)}.")
     every = list_assets(options.assets, any_licence=True, near_duplicates=True) if options.leave_out else []
@@ -50,20 +51,21 @@ def run(options: argparse.Namespace) -> None:
     printer = ProgressPrinter(options.progress)
     try:
         clock = _Clock(printer)
-        requests = plan(assets, left, options.creatures)
-        syllabus = collect(requests, cache, lambda done, all_: clock("lessons", done / all_, 0.0, 0.3))
-        _train(options, syllabus, left, clock)
+        requests = plan_samples(assets, left, options.creatures)
+        sampling_plan = make_samples(requests, cache, lambda done, all_: clock("samples", done / all_, 0.0, 0.3))
+        _train(options, sampling_plan, left, clock)
     finally:
         printer.close()
-    say(f"The model is in '{options.out}'.")
+    print_message(f"The model is in '{options.out}'.")
 
 
-def _train(options: argparse.Namespace, syllabus: Syllabus, left: tuple[str, ...], clock: _Clock) -> None:
-    from ..core.skinning.learned.model_file import ModelCard, save_model
+def _train(options: argparse.Namespace, sampling_plan: SamplingPlan, left: tuple[str, ...], clock: _Clock) -> None:
+    from ..core.skinning.learned.model_file import ModelCard
     from ..core.training.prior.train import Schedule, Trainer
+    from ..core.training.prior.write_model import save_model
 
     seeds = range(options.seed, options.seed + options.networks)
-    trainers = [Trainer(syllabus, Schedule(steps=options.steps, seed=seed)) for seed in seeds]
+    trainers = [Trainer(sampling_plan, Schedule(steps=options.steps, seed=seed)) for seed in seeds]
     kept = [options.out.with_suffix(f".{number}.checkpoint") for number in range(options.networks)]
     for trainer, checkpoint in zip(trainers, kept, strict=True):
         if checkpoint.is_file():
@@ -71,36 +73,36 @@ def _train(options: argparse.Namespace, syllabus: Syllabus, left: tuple[str, ...
     first = sum(trainer.step_number for trainer in trainers)
     missing = options.steps * len(trainers) - first
 
-    def tell(message: str) -> None:
+    def report(message: str) -> None:
         done = sum(trainer.step_number for trainer in trainers) - first
         clock("train", done / missing, 0.3, 1.0, message)
 
     clock.restart()
     for trainer, checkpoint in zip(trainers, kept, strict=True):
-        _finish(trainer, checkpoint, tell)
+        _finish(trainer, checkpoint, report)
     losses = [loss for trainer in trainers for loss in trainer.losses[-50:]]
     training = {
         "steps": options.steps, "seed": options.seed, "creatures": options.creatures,
         "loss": round(sum(losses) / max(len(losses), 1), 4),
     }  # fmt: skip
-    card = ModelCard(left, tuple(sorted(syllabus.files)), training)
+    card = ModelCard(left, tuple(sorted(sampling_plan.files)), training)
     save_model([trainer.result() for trainer in trainers], Path(options.out), card)
     for checkpoint in kept:
         checkpoint.unlink(missing_ok=True)
 
 
-def _finish(trainer: Trainer, checkpoint: Path, tell: Callable[[str], None]) -> None:
+def _finish(trainer: Trainer, checkpoint: Path, report: Callable[[str], None]) -> None:
     """All steps that are missing; the checkpoint stays until the model is written."""
     saved, steps = time.monotonic(), trainer.schedule.steps
     try:
         while trainer.step_number < steps:
             loss = trainer.step()
-            tell(f"seed {trainer.schedule.seed}, step {trainer.step_number} of {steps}, loss {loss:.3f}")
+            report(f"seed {trainer.schedule.seed}, step {trainer.step_number} of {steps}, loss {loss:.3f}")
             if time.monotonic() - saved > _CHECKPOINT_SECONDS:
                 trainer.save(checkpoint)
                 saved = time.monotonic()
     except KeyboardInterrupt:
-        say(f"Stopped at step {trainer.step_number}; the same command goes on from '{checkpoint}'.")
+        print_message(f"Stopped at step {trainer.step_number}; the same command goes on from '{checkpoint}'.")
         raise
     finally:
         trainer.save(checkpoint)

@@ -9,6 +9,12 @@ class GSkinError(Exception):
 
     exit_code = 1
 
+    def __init__(self, sentence: str = "", *, shell: str = "") -> None:
+        """sentence: for everybody; shell: what a command line's user can name besides, which `str` adds in brackets."""
+        super().__init__(f"{sentence.removesuffix('.')} ({shell})." if shell else sentence)
+        self.plain = sentence
+        """What a window says: without flags and variables of the command line."""
+
 
 class InputError(GSkinError):
     """The input cannot be used: names the file or object, the reason and the remedy (exit code 2)."""
@@ -24,3 +30,8 @@ class Cancelled(GSkinError):
 
 class Stopped(Cancelled):
     """The person stopped work that goes on later; says what stays (exit code 130)."""
+
+
+def first_line(error: BaseException) -> str:
+    """The first line of an error's text, without its full stop, to stand inside a sentence."""
+    return str(error).strip().split("\n")[0].rstrip(".") or type(error).__name__

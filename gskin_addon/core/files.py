@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Files that are there whole or not at all. Standard library and numpy only."""
+"""Files that are there whole or not at all, and arrays that bring no code. Standard library and numpy only."""
 
 from __future__ import annotations
 
@@ -7,44 +7,103 @@ import contextlib
 import errno
 import json
 import os
+import secrets
 import struct
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .errors import GSkinError
+from .errors import GSkinError, first_line
 
 FULL = {errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC)}
 """errno values that mean: no room left on the disk."""
 
+_MARK = ".gskin-"
+# A name that nobody can guess, made here and now, and never a link that somebody put there.
+_FRESH = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+_AGAIN = os.O_RDWR | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
 
-def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
+
+def write_atomically(path: Path, write: Callable[[BinaryIO], object]) -> None:
     """Call `write(file)` on a temporary file beside `path`, then put it in place.
 
     Raises:
         GSkinError: the disk is full or the folder cannot be written; `path` is then as it was before.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    with _in_place_of(path, ".tmp") as (_, descriptor), os.fdopen(descriptor, "wb") as file:
+        write(file)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+@contextlib.contextmanager
+def replaced(path: Path, suffix: str = ".tmp") -> Iterator[Path]:
+    """An empty temporary file beside `path`, for those who write to a path; put in place when the block ends well.
+
+    suffix: what its name ends in, for writers that look at it. Yields an absolute path.
+
+    Raises:
+        GSkinError: the disk is full or the folder cannot be written; `path` is then as it was before.
+    """
+    with _in_place_of(path, suffix) as (temporary, descriptor):
+        os.close(descriptor)
+        yield temporary
+        written = os.open(temporary, _AGAIN)
+        try:
+            os.fsync(written)
+        finally:
+            os.close(written)
+
+
+def is_plain_name(name: str) -> bool:
+    """Whether `name` is that of a file in a folder at hand, on every system: no path, no drive, nothing hidden."""
+    return (
+        name == name.strip()
+        and not name.startswith(".")
+        and name.isprintable()
+        and not set(name) & set('/\\:*?"<>|')
+        and 0 < len(name.encode(errors="replace")) <= 200
+    )
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove the temporary files of writers that were killed; nobody else may be writing in `folder` meanwhile."""
+    for path in folder.glob(f"{_MARK}*"):
+        with contextlib.suppress(OSError):
+            path.unlink()
+
+
+@contextlib.contextmanager
+def _in_place_of(path: Path, suffix: str) -> Iterator[tuple[Path, int]]:
+    """A new file beside `path` and its descriptor, which the block closes; renamed to `path` or removed after it."""
+    temporary = None
     try:
-        with open(temporary, "wb") as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
+        temporary, descriptor = _create(path.absolute().parent, suffix)
+        yield temporary, descriptor
         os.replace(temporary, path)
     except OSError as error:
         raise disk_error(error, path) from error
-    except ValueError as error:  # what zipfile says when it cannot close an archive on a full disk
+    except Exception as error:  # zipfile, torch and others wrap what the disk says in errors of their own
         cause = full_disk(error)
         if cause is None:
             raise
         raise disk_error(cause, path) from error
     finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
+        if temporary is not None:
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
+
+
+def _create(folder: Path, suffix: str) -> tuple[Path, int]:
+    """As tempfile.mkstemp, but with the permissions that any new file gets here."""
+    while True:
+        path = folder / f"{_MARK}{secrets.token_hex(8)}{suffix}"
+        with contextlib.suppress(FileExistsError):
+            return path, os.open(path, _FRESH, 0o666)
 
 
 def full_disk(error: BaseException | None) -> OSError | None:
@@ -63,12 +122,10 @@ def disk_error(error: OSError, path: str | Path | None = None) -> GSkinError:
     name = str(path or error.filename or "the job folder")
     if error.errno in FULL:
         return GSkinError(
-            f"The disk is full: '{name}' could not be written; free some space and start again, "
-            "the job goes on from its last checkpoint."
+            f"The disk is full: '{name}' could not be written ({error.strerror or error}); free some space and start "
+            "again, a job goes on from its last checkpoint."
         )
-    return GSkinError(
-        f"'{name}' could not be written ({error.strerror or error}); check the folder's permissions."
-    )
+    return GSkinError(f"'{name}' cannot be written ({error.strerror or error}); check the folder and its permissions.")
 
 
 def write_text(path: Path, text: str) -> None:
@@ -86,6 +143,32 @@ def write_arrays(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     if any(array.dtype.hasobject for array in arrays.values()):
         raise ValueError("object arrays are not stored")
     write_atomically(path, lambda file: np.savez(file, **dict(arrays)))
+
+
+def read_arrays(
+    path: Path, names: Sequence[str] | None = None, optional: Sequence[str] = ()
+) -> dict[str, NDArray[Any]]:
+    """Arrays of an .npz by name: `names` (all of them when left out), and those of `optional` that are there.
+
+    Pickled objects are refused, so that no file can run code.
+
+    Raises:
+        FileNotFoundError: there is no such file. OSError: it cannot be read.
+        ValueError: it is no .npz, is damaged, holds pickled objects, or lacks one of `names`; says so in a few words.
+    """
+    try:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as found:
+            known = list(found.files)
+            wanted = known if names is None else [*names, *(name for name in optional if name in known)]
+            missing = [name for name in wanted if name not in known]
+            arrays = {} if missing else {name: np.asarray(found[name]) for name in wanted}
+    except OSError:
+        raise
+    except Exception as error:  # numpy, zipfile and zlib have many
+        raise ValueError(first_line(error)) from None
+    if missing:
+        raise ValueError(f"it lacks the array {', '.join(missing)}")
+    return arrays
 
 
 def write_png(path: Path, image: NDArray[Any]) -> None:

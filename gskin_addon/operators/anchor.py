@@ -8,7 +8,7 @@ import bpy
 from ..core.errors import GSkinError
 from ..scene.anchored import anchor_to_mesh, proxy_of, release
 from ..scene.splat_object import is_splat_object
-from ..session.chosen import chosen_splats
+from ..session.chosen import chosen_splats, proxy_mesh
 
 
 class GSKIN_OT_anchor_to_mesh(bpy.types.Operator):
@@ -31,7 +31,7 @@ class GSKIN_OT_anchor_to_mesh(bpy.types.Operator):
             cls.poll_message_set("Select a splat object; import one with File > Import > Gaussian Splats")
             return False
         if chosen_proxy(context) is None:
-            cls.poll_message_set("Select the mesh along with the splats")
+            cls.poll_message_set("Select the mesh along with the splats, or name it as Proxy Mesh")
             return False
         return True
 
@@ -40,7 +40,7 @@ class GSKIN_OT_anchor_to_mesh(bpy.types.Operator):
         try:
             anchors = anchor_to_mesh(splats, proxy, keep_residual=self.keep_residual)
         except GSkinError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
         words = f"{anchors.count:,} splats follow '{proxy.name}'"
         beyond = int(anchors.clamped.sum())
@@ -71,7 +71,7 @@ class GSKIN_OT_release_from_mesh(bpy.types.Operator):
 
 
 def chosen_proxy(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The active mesh that is no splat object, else the only one selected."""
+    """The active mesh that is no splat object, else the only one selected, else the panel's proxy mesh."""
 
     def fits(obj: bpy.types.Object | None) -> bool:
         return obj is not None and obj.type == "MESH" and not is_splat_object(obj)
@@ -80,7 +80,7 @@ def chosen_proxy(context: bpy.types.Context) -> bpy.types.Object | None:
     if fits(active) and active.select_get():
         return active
     found = [obj for obj in context.view_layer.objects.selected if fits(obj)]
-    return found[0] if len(found) == 1 else None
+    return found[0] if len(found) == 1 else proxy_mesh(context)
 
 
 CLASSES = (GSKIN_OT_anchor_to_mesh, GSKIN_OT_release_from_mesh)

@@ -14,8 +14,8 @@ from ..core.job.progress_text import ProgressPrinter
 from ..core.job.settings import JobSettings
 from ..scene.steps import Steps, run_for
 from ..session import running_job, status_bar
-from ..session.chosen import chosen_armature, chosen_splats, proxy_mesh
-from ..session.preferences import worker_python
+from ..session.chosen import chosen_armature, chosen_splats, panel_settings, proxy_mesh
+from ..session.preferences import job_python
 from ..session.readiness import what_is_missing
 from ..session.skin_job import SkinJob
 
@@ -94,13 +94,14 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
         """Blender ends the operator: another file is loaded, the window closes."""
         self._job.cancel()
         self._leave(context)
+        running_job.end("")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Without a window, and for scripts: run the job to its end, progress printed."""
         if not self._start(context):
             return {"CANCELLED"}
         try:
-            self._job.client.wait(ProgressPrinter("lines", sys.stdout), interval=TICK)
+            self._job.wait(ProgressPrinter("lines", sys.stdout))
             return self._finish(context, self._job.apply())
         except GSkinError as error:
             return self._fail(context, error)
@@ -108,13 +109,19 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
             return self._fail(context, Cancelled("The job was cancelled."))
 
     def _start(self, context: bpy.types.Context) -> bool:
-        settings = context.scene.gskin.as_job()
-        python, _ = worker_python(context)
+        chosen = panel_settings(context)
+        settings = chosen.as_job()
+        python, _ = job_python(context, chosen.needs_runtime())
         try:
             JobSettings.parse(settings)
             check_models(settings["guidance"], settings.get("options", {}))
             self._job = SkinJob.start(
-                chosen_splats(context), chosen_armature(context), settings, python, proxy_mesh(context)
+                chosen_splats(context),
+                chosen_armature(context),
+                settings,
+                python,
+                proxy_mesh(context),
+                allow_download=chosen.models.may_download(),
             )
         except GSkinError as error:
             self._fail(context, error)
@@ -131,13 +138,13 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
     def _fail(self, context: bpy.types.Context, error: GSkinError) -> set[str]:
         self._leave(context)
         details = getattr(error, "traceback", "")
-        running_job.end(str(error), failed=not isinstance(error, Cancelled), details=details)
+        running_job.end(error.plain, failed=not isinstance(error, Cancelled), details=details)
         if isinstance(error, Cancelled):
-            self.report({"WARNING"}, str(error))
+            self.report({"WARNING"}, error.plain)
         else:
             if details:
                 print(details)
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
         return {"CANCELLED"}
 
     def _leave(self, context: bpy.types.Context) -> None:
@@ -169,5 +176,9 @@ class GSKIN_OT_cancel_auto_skin(bpy.types.Operator):
 CLASSES = (GSKIN_OT_auto_skin, GSKIN_OT_cancel_auto_skin)
 
 
+def register() -> None:
+    running_job.register()
+
+
 def unregister() -> None:
-    running_job.stop()
+    running_job.unregister()

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 from bpy_extras.io_utils import ImportHelper
 
 from ..core.errors import GSkinError
-from ..core.job.contract import read_weights as read_weights_file
+from ..core.rig.weights_file import read_weights_file
 from ..scene.binding import bind
 from ..scene.bone_frames import armature_of
 from ..scene.influences import splats_without_bones
@@ -26,6 +27,8 @@ class GSKIN_OT_load_weights(bpy.types.Operator, ImportHelper):
     bl_options = {"REGISTER", "UNDO"}
 
     filename_ext = ".npz"
+    if TYPE_CHECKING:
+        filepath: str  # ImportHelper's
     filter_glob: bpy.props.StringProperty(default="*.npz", options={"HIDDEN"})
     max_influences: bpy.props.IntProperty(
         name="Max Influences", description="The most bones that move one splat", default=4, min=1, max=4
@@ -48,7 +51,7 @@ class GSKIN_OT_load_weights(bpy.types.Operator, ImportHelper):
                 confidence=result.confidence,
             )
         except GSkinError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
         words = f"{len(result.weights):,} splats follow {len(result.bones)} bones of '{armature.name}'"
         self.report({"INFO"}, words)
@@ -72,7 +75,7 @@ class GSKIN_OT_bind_to_armature(bpy.types.Operator):
             bind(splats, armature)
             update_rotation_weights(splats)
         except GSkinError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
         still, total = splats_without_bones(splats), splat_count(splats)
         if still:
@@ -105,7 +108,7 @@ class GSKIN_OT_update_rotation_weights(bpy.types.Operator):
         try:
             update_rotation_weights(chosen_splats(context))
         except GSkinError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
         return {"FINISHED"}
 

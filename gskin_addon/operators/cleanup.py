@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 import bpy
 
 from ..core.errors import GSkinError, InputError
@@ -20,6 +22,8 @@ from ..session.chosen import chosen_splats
 
 class _Finder:
     bl_options = {"REGISTER", "UNDO"}
+    if TYPE_CHECKING:
+        poll_message_set: Any  # every operator has it
 
     strays: bpy.props.BoolProperty(
         name="Strays", description="Single splats and small clusters that lie off the body", default=True
@@ -59,7 +63,7 @@ class GSKIN_OT_select_bad_splats(_Finder, bpy.types.Operator):
             )
             show_selected(context, obj, bad)
         except GSkinError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
         self.report({"INFO"}, _sentence(counts, splat_count(obj), "selected"))
         return {"FINISHED"}
@@ -120,7 +124,7 @@ class GSKIN_OT_clean_splats(_Finder, bpy.types.Operator):
                     remove_splats(obj, bad)
             needles = reshape_splats(obj, max_aspect=self.max_aspect, balls=self.balls)
         except GSkinError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
         words = _sentence(counts, total, "put aside" if self.action == "ASIDE" else "removed")
         if self.max_aspect:

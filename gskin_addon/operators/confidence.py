@@ -10,6 +10,7 @@ from ..scene import names
 from ..scene.attributes import read_attribute
 from ..scene.cleanup import begin_selecting, show_selected
 from ..session.chosen import chosen_splats
+from ..session.confidence import SURE
 
 
 class GSKIN_OT_select_unsure_splats(bpy.types.Operator):
@@ -22,7 +23,7 @@ class GSKIN_OT_select_unsure_splats(bpy.types.Operator):
     below: bpy.props.FloatProperty(
         name="Confidence Below",
         description="Splats less sure than this are selected",
-        default=0.5,
+        default=SURE,
         min=0.0,
         max=1.0,
         subtype="FACTOR",
@@ -43,7 +44,7 @@ class GSKIN_OT_select_unsure_splats(bpy.types.Operator):
             unsure = read_attribute(obj.data, names.CONFIDENCE) < self.below
             show_selected(context, obj, unsure)
         except GSkinError as error:
-            self.report({"ERROR"}, str(error))
+            self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
         self.report({"INFO"}, f"{unsure.sum():,} of {len(unsure):,} splats are less sure than {self.below:.2f}")
         return {"FINISHED"}

@@ -30,7 +30,8 @@ Columns = list[Any]
 
 def anchor_group() -> bpy.types.NodeTree:
     """The shared node group "GSkin Anchor"; built once per file."""
-    inputs = [(name, "NodeSocketObject", {}) for name in (PROXY_INPUT, MESH_INPUT)]
+    nothing: dict[str, Any] = {}
+    inputs = [(name, "NodeSocketObject", nothing) for name in (PROXY_INPUT, MESH_INPUT)]
     group, new = geometry_group(names.ANCHOR_MODIFIER, VERSION, inputs)
     if new:
         _build(group)
@@ -74,7 +75,7 @@ def _build(group: bpy.types.NodeTree) -> None:
     turned, scale = _gaussian(tree, rotation, shear)
 
     # All fields read the rest splats, so none may be stored before all are known.
-    capture = tree.node("GeometryNodeCaptureAttribute", domain="POINT")
+    capture: Any = tree.node("GeometryNodeCaptureAttribute", domain="POINT")
     for kind, name in (("VECTOR", "Position"), ("ROTATION", "Rotation"), ("VECTOR", "Scale")):
         capture.capture_items.new(kind, name)
     for name, value in (("Geometry", splats), ("Position", position), ("Rotation", turned), ("Scale", scale)):
@@ -82,8 +83,8 @@ def _build(group: bpy.types.NodeTree) -> None:
     inputs = {"Geometry": tree.output(capture, "Geometry"), "Position": tree.output(capture, "Position")}
     result = tree.out("GeometryNodeSetPosition", "Geometry", inputs)
     for name, kind, value in ((names.ROTATION, "QUATERNION", "Rotation"), (names.SCALE, "FLOAT_VECTOR", "Scale")):
-        inputs = {"Geometry": result, "Name": name, "Value": tree.output(capture, value)}
-        result = tree.out("GeometryNodeStoreNamedAttribute", "Geometry", inputs, data_type=kind, domain="POINT")
+        stored = {"Geometry": result, "Name": name, "Value": tree.output(capture, value)}
+        result = tree.out("GeometryNodeStoreNamedAttribute", "Geometry", stored, data_type=kind, domain="POINT")
 
     # A proxy whose points are no longer those that were anchored to (a Subdivision Surface, an edit): stay at rest.
     counts = [

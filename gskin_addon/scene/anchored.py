@@ -19,9 +19,10 @@ from ..core.rig.anchoring import Anchors, anchor_splats, check_fit
 from ..core.rig.vertex_maps import ring_coefficients
 from . import names
 from .anchor_nodes import MESH_INPUT, PROXY_INPUT, anchor_group, find_anchor
-from .attributes import read_attribute, read_positions, write_attribute, write_positions
+from .attributes import ObjectData, read_attribute, read_positions, write_attribute, write_positions
 from .bone_frames import armature_modifier
-from .node_builder import get_input, set_input
+from .helpers import hide_helper
+from .node_builder import add_modifier, get_input, set_input
 from .node_groups import find_display
 from .rotation_nodes import find_rotation
 from .splat_object import is_splat_object, read_cloud, refuse_edit_mode
@@ -79,13 +80,12 @@ def attach(
     write_attribute(mesh, names.RESIDUAL, "FLOAT_VECTOR", anchors.residual)
     write_attribute(mesh, names.REACH, "FLOAT", anchors.reach)
     mesh.update()
-    for modifier in (find_rotation(obj), armature_modifier(obj)):
-        if modifier is not None:
-            obj.modifiers.remove(modifier)
+    for other in (find_rotation(obj), armature_modifier(obj)):
+        if other is not None:
+            obj.modifiers.remove(other)
     modifier = find_anchor(obj)
     if modifier is None:
-        modifier = obj.modifiers.new(names.ANCHOR_MODIFIER, "NODES")
-        modifier.show_expanded = False
+        modifier = add_modifier(obj, names.ANCHOR_MODIFIER)
         display = find_display(obj)
         if display is not None:
             obj.modifiers.move(obj.modifiers.find(modifier.name), obj.modifiers.find(display.name))
@@ -148,7 +148,7 @@ def read_world_mesh(proxy: bpy.types.Object) -> tuple[Array, Array]:
     return verts @ matrix[:3, :3].T + matrix[:3, 3], faces
 
 
-def _triangles(mesh: bpy.types.Mesh) -> Array:
+def _triangles(mesh: ObjectData) -> Array:
     mesh.calc_loop_triangles()
     flat = np.empty(3 * len(mesh.loop_triangles), dtype=np.int32)
     mesh.loop_triangles.foreach_get("vertices", flat)
@@ -165,13 +165,14 @@ def _anchor_mesh(name: str, verts: Array, faces: Array) -> bpy.types.Object:
     mesh.update(calc_edges=True)
     write_positions(mesh, verts)
     for label, shift in ((names.CORNER_NEXT, -1), (names.CORNER_LAST, 1)):
-        values = np.roll(faces, shift, axis=1).ravel().astype(np.int32)
-        mesh.attributes.new(label, "INT", "CORNER").data.foreach_set("value", values)
+        indices: Any = mesh.attributes.new(label, "INT", "CORNER")
+        indices.data.foreach_set("value", np.roll(faces, shift, axis=1).ravel().astype(np.int32))
     coefficients = ring_coefficients(verts, faces).reshape(-1, 3, 3)
     for k, label in enumerate(names.MAP_COEFFICIENTS):
         values = np.ascontiguousarray(coefficients[:, k], dtype=np.float32).ravel()
-        mesh.attributes.new(label, "FLOAT_VECTOR", "CORNER").data.foreach_set("vector", values)
+        rows: Any = mesh.attributes.new(label, "FLOAT_VECTOR", "CORNER")
+        rows.data.foreach_set("vector", values)
     helper = bpy.data.objects.new(mesh.name, mesh)
     helper[names.ANCHOR_MARK] = True
-    helper.hide_render = helper.hide_select = True
+    hide_helper(helper)
     return helper

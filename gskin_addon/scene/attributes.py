@@ -5,9 +5,11 @@ from __future__ import annotations
 
 from typing import Any
 
-import bpy
 import numpy as np
 from numpy.typing import NDArray
+
+ObjectData = Any
+"""What `Object.data` is, by Blender's typings one of a dozen kinds; here always that of a mesh object."""
 
 # Blender's attribute type -> (property that holds the value, numbers per element, numpy type of foreach_*).
 # FLOAT_COLOR's "color" is the raw linear value; only "color_srgb" would be colour managed.
@@ -21,7 +23,7 @@ _LAYOUT: dict[str, tuple[str, int, Any]] = {
 }
 
 
-def write_attribute(mesh: bpy.types.Mesh, name: str, kind: str, values: NDArray[Any]) -> None:
+def write_attribute(mesh: ObjectData, name: str, kind: str, values: NDArray[Any]) -> None:
     """Store `values` (N,) or (N, k) as point attribute `name` of Blender's type `kind`, replacing any other."""
     prop, width, dtype = _LAYOUT[kind]
     attribute = mesh.attributes.get(name)
@@ -36,7 +38,7 @@ def write_attribute(mesh: bpy.types.Mesh, name: str, kind: str, values: NDArray[
     attribute.data.foreach_set(prop, flat)
 
 
-def read_attribute(mesh: bpy.types.Mesh, name: str) -> NDArray[Any] | None:
+def read_attribute(mesh: ObjectData, name: str) -> NDArray[Any] | None:
     """Point attribute `name` as (N,) or (N, k); None where the mesh has no such attribute on its points."""
     attribute = mesh.attributes.get(name)
     if attribute is None or attribute.domain != "POINT" or attribute.data_type not in _LAYOUT:
@@ -47,14 +49,14 @@ def read_attribute(mesh: bpy.types.Mesh, name: str) -> NDArray[Any] | None:
     return flat if width == 1 else flat.reshape(-1, width)
 
 
-def read_positions(mesh: bpy.types.Mesh) -> NDArray[np.float32]:
+def read_positions(mesh: ObjectData) -> NDArray[np.float32]:
     """Vertex positions (N, 3) in the object's own space."""
     flat = np.empty(len(mesh.vertices) * 3, dtype=np.float32)
     mesh.attributes["position"].data.foreach_get("vector", flat)
     return flat.reshape(-1, 3)
 
 
-def write_positions(mesh: bpy.types.Mesh, points: NDArray[Any]) -> None:
+def write_positions(mesh: ObjectData, points: NDArray[Any]) -> None:
     """Set the vertex positions from (N, 3)."""
     flat = np.ascontiguousarray(points, dtype=np.float32).reshape(-1)
     mesh.attributes["position"].data.foreach_set("vector", flat)

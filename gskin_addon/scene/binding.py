@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 
 from ..core.errors import InputError
@@ -43,7 +45,8 @@ def follow(
     set_parent(obj, armature, keep_parent=keep_parent)
     modifier = armature_modifier(obj)
     if modifier is None:
-        modifier = obj.modifiers.new(names.ARMATURE_MODIFIER, "ARMATURE")
+        new: Any = obj.modifiers.new(names.ARMATURE_MODIFIER, "ARMATURE")
+        modifier = new
         # Behind whatever deforms the rest shape, before anything that draws.
         display = find_display(obj)
         if display is not None:

@@ -12,12 +12,15 @@ appended with them, and neither the outliner's scene view, nor renders, nor expo
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 import numpy as np
 
 from . import names
 from .armature import deform_bone_names, read_skeleton
 from .attributes import write_positions
+from .helpers import hide_helper
 
 
 def ensure_bone_frames(armature: bpy.types.Object) -> bpy.types.Object:
@@ -39,7 +42,7 @@ def find_bone_frames(armature: bpy.types.Object) -> bpy.types.Object | None:
 
 def is_bone_frames(obj: bpy.types.Object | None) -> bool:
     """Whether `obj` is such a helper, which is no object of the artist's."""
-    return obj is not None and obj.type == "MESH" and names.FRAMES_MARK in obj
+    return obj is not None and obj.type == "MESH" and obj.get(names.FRAMES_MARK) is not None
 
 
 def bone_order(frames: bpy.types.Object) -> list[str]:
@@ -55,7 +58,7 @@ def armature_of(obj: bpy.types.Object) -> bpy.types.Object | None:
 
 def armature_modifier(obj: bpy.types.Object) -> bpy.types.ArmatureModifier | None:
     """The object's first Armature modifier that has an armature, else its first one at all."""
-    found = [modifier for modifier in obj.modifiers if modifier.type == "ARMATURE"]
+    found: list[Any] = [modifier for modifier in obj.modifiers if modifier.type == "ARMATURE"]
     return next((modifier for modifier in found if modifier.object is not None), found[0] if found else None)
 
 
@@ -69,10 +72,10 @@ def _create(armature: bpy.types.Object) -> bpy.types.Object:
     write_positions(mesh, skeleton.heads[:, None] + corners)
     frames = bpy.data.objects.new(mesh.name, mesh)
     frames[names.FRAMES_MARK] = True
-    frames.hide_render = frames.hide_select = True
+    hide_helper(frames)
     for index, bone in enumerate(skeleton.names):
         frames.vertex_groups.new(name=bone).add(range(4 * index, 4 * index + 4), 1.0, "REPLACE")
-    modifier = frames.modifiers.new(names.ARMATURE_MODIFIER, "ARMATURE")
+    modifier: Any = frames.modifiers.new(names.ARMATURE_MODIFIER, "ARMATURE")
     modifier.object = armature
     modifier.use_bone_envelopes = False
     return frames

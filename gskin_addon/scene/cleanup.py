@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.splats.cleanup import clamp_aspect, find_faint_giants, find_needles, find_strays, isotropic
+from .attributes import ObjectData
 from .splat_object import read_cloud, refuse_edit_mode, replace_cloud
 
 Mask = NDArray[np.bool_]
@@ -73,10 +74,11 @@ def remove_splats(obj: bpy.types.Object, mask: Mask) -> None:
     """Delete the splats of `mask` (N,); the attributes and weights of the others stay."""
     refuse_edit_mode(obj)
     mesh = bmesh.new()
-    mesh.from_mesh(obj.data)
+    data: ObjectData = obj.data
+    mesh.from_mesh(data)
     mesh.verts.ensure_lookup_table()
     bmesh.ops.delete(mesh, geom=[mesh.verts[int(i)] for i in np.flatnonzero(mask)], context="VERTS")
-    mesh.to_mesh(obj.data)
+    mesh.to_mesh(data)
     mesh.free()
     obj.data.update()
 

@@ -3,14 +3,15 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import bpy
 import mathutils
 import numpy as np
 
+from ..core.files import replaced
 from ..core.render.camera import EVALUATION_AZIMUTHS, orbit_views, percentile_bounds
 from .posing import posed_cloud
 from .render import render_still
@@ -47,11 +48,8 @@ def render_view(
     rgb = np.asarray(background, float)
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     world.use_nodes = True
-    world.node_tree.nodes["Background"].inputs["Color"].default_value = (*linear.tolist(), 1.0)
+    color: Any = world.node_tree.nodes["Background"].inputs["Color"]
+    color.default_value = (*linear.tolist(), 1.0)
     scene.world = world
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp.png").absolute()
-    try:
+    with replaced(path, ".png") as temporary:
         render_still(scene, temporary, size=(size, size))
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)

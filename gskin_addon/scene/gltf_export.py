@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import GSkinError, InputError
+from ..core.files import replaced
 from ..core.splats import gltf
 from ..core.splats.axes import rotate_cloud
 from ..core.splats.cloud import SplatCloud
@@ -82,7 +83,7 @@ class SplatExport:
                 cloud = rotate_cloud(cloud, gltf.blender_to_gltf())
             _add_splats(gltf2_mesh, cloud)
         except GSkinError as error:
-            export_settings["log"].error(str(error), popup=True)
+            export_settings["log"].error(error.plain, popup=True)
             _failures.append(error)
 
 
@@ -113,9 +114,8 @@ def export_glb(
         raise InputError(f"{path}: there are no splats among the objects to export; choose a splat object.")
     armatures = [armature for obj in objects if (armature := armature_of(obj)) is not None]
     frame = bpy.context.scene.frame_current
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.part.glb")
     try:
-        with _selected([*objects, *armatures]), _discoverable(), nodes_hidden():
+        with replaced(path, ".glb") as temporary, _selected([*objects, *armatures]), _discoverable(), nodes_hidden():
             _failures.clear()
             bpy.ops.export_scene.gltf(
                 filepath=str(temporary),
@@ -133,21 +133,16 @@ def export_glb(
                 export_animations=animations,
                 export_materials="EXPORT",
             )
-        if _failures:
-            raise _failures[0]
-        os.replace(temporary, path)
+            if _failures:
+                raise _failures[0]
     except RuntimeError as error:
         if _failures:
             raise _failures[0] from error
         raise GSkinError(f"{path}: Blender's glTF exporter failed ({_last_error(error)}).") from error
-    except OSError as error:
-        reason = error.strerror or error
-        raise GSkinError(f"{path} cannot be written ({reason}); check the folder and free space.") from error
     finally:
         # The exporter moves to frame 0 and stays there when it fails.
         if bpy.context.scene.frame_current != frame:
             bpy.context.scene.frame_set(frame)
-        temporary.unlink(missing_ok=True)
 
 
 def _last_error(error: RuntimeError) -> str:
@@ -234,7 +229,7 @@ def _discoverable() -> Iterator[None]:
         yield
     finally:
         if before is None:
-            del module.glTF2ExportUserExtensions  # type: ignore[attr-defined]
+            del module.glTF2ExportUserExtensions
         else:
             module.glTF2ExportUserExtensions = before  # type: ignore[attr-defined]
 

@@ -4,10 +4,22 @@
 from __future__ import annotations
 
 MARK = "gskin"
-"""Custom property that marks a splat mesh: a group with version, sh_degree and the names of extra columns."""
+"""Custom property that marks a splat mesh: a group with version, sh_degree, the names of extra
+columns, and where known the file's up axis (up) and what an applied transform has broken (warning)."""
+
+OFFSET = "gskin_offset"
+"""Custom property of a splat object: how far it was moved from the file's coordinates."""
+
+PLACES = "gskin_places"
+"""Custom property of a splat mesh: where some splats were when all attributes fitted together."""
 
 FRAMES_MARK = "gskin_bone_frames"
 """Custom property that marks the hidden helper mesh of bone frames."""
+
+OCTAHEDRA_MARK = "gskin_octahedra"
+"""Custom property that marks the hidden helper whose faces the display borrows."""
+OCTAHEDRON_MARK = "gskin_octahedron"
+"""Custom property of the mesh of the one octahedron."""
 
 # Names that Blender 5.3 and later use for splats on point clouds.
 ROTATION = "rotation"

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import bpy
@@ -18,7 +19,7 @@ class Tree:
         self.tree = tree
         self._column = 0
 
-    def node(self, kind: str, inputs: dict[str | int, Value] | None = None, **properties: Any) -> bpy.types.Node:
+    def node(self, kind: str, inputs: Mapping[Any, Value] | None = None, **properties: Any) -> bpy.types.Node:
         """Add a node; `properties` are set first, because they decide which sockets exist."""
         node = self.tree.nodes.new(kind)
         # A plain grid: nobody edits these by hand, but whoever opens the group should see every node.
@@ -42,14 +43,14 @@ class Tree:
         """The output socket in use among those of that name."""
         return next(s for s in node.outputs if s.name == key and s.enabled)
 
-    def connect(self, value: Value, socket: bpy.types.NodeSocket) -> None:
+    def connect(self, value: Value, socket: Any) -> None:
         """Link a socket to an input, or set the input to a constant."""
         if isinstance(value, bpy.types.NodeSocket):
             self.tree.links.new(value, socket)
         else:
             socket.default_value = value
 
-    def out(self, kind: str, name: str, inputs: dict[str | int, Value] | None = None, **properties: Any) -> Value:
+    def out(self, kind: str, name: str, inputs: Mapping[Any, Value] | None = None, **properties: Any) -> Value:
         """Add a node and return its output `name`."""
         return self.output(self.node(kind, inputs, **properties), name)
 
@@ -71,6 +72,20 @@ class Tree:
         """A named attribute of a geometry, by Blender's attribute type."""
         return self.out("GeometryNodeInputNamedAttribute", "Attribute", {"Name": name}, data_type=kind)
 
+    def store(self, geometry: Value, name: str, kind: str, value: Value) -> Value:
+        """The geometry with a field stored on its points as a named attribute."""
+        inputs = {"Geometry": geometry, "Name": name, "Value": value}
+        return self.out("GeometryNodeStoreNamedAttribute", "Geometry", inputs, data_type=kind, domain="POINT")
+
+    def object_geometry(self, obj: Value) -> Value:
+        """An object's evaluated geometry in its own space."""
+        return self.out("GeometryNodeObjectInfo", "Geometry", {"Object": obj}, transform_space="ORIGINAL")
+
+    def domain_size(self, geometry: Value, component: str) -> Value:
+        """The number of points of a mesh or point cloud."""
+        inputs = {"Geometry": geometry}
+        return self.out("GeometryNodeAttributeDomainSize", "Point Count", inputs, component=component)
+
 
 def geometry_group(name: str, version: int, inputs: list[tuple[str, str, dict[str, Any]]]) -> tuple[Any, bool]:
     """The geometry node group of this name and version, and whether it is new and still empty.
@@ -78,6 +93,7 @@ def geometry_group(name: str, version: int, inputs: list[tuple[str, str, dict[st
     inputs: (name, socket type, properties) after the geometry. A group of another version (an older file's) is left
     alone for the objects that use it.
     """
+    group: Any
     for group in bpy.data.node_groups:
         if group.get("gskin_group") == name and group.get("gskin_version") == version and group.library is None:
             return group, False
@@ -95,11 +111,19 @@ def geometry_group(name: str, version: int, inputs: list[tuple[str, str, dict[st
 
 def find_group(obj: bpy.types.Object, name: str) -> bpy.types.NodesModifier | None:
     """The object's modifier with our node group `name`, whatever the modifier or the group are called by now."""
+    modifier: Any
     for modifier in obj.modifiers:
         group = modifier.node_group if modifier.type == "NODES" else None
         if group is not None and group.get("gskin_group") == name:
             return modifier
     return None
+
+
+def add_modifier(obj: bpy.types.Object, name: str) -> bpy.types.NodesModifier:
+    """A new modifier for a node group, last in the stack and closed in the properties editor."""
+    modifier: Any = obj.modifiers.new(name, "NODES")
+    modifier.show_expanded = False
+    return modifier
 
 
 def input_property(modifier: bpy.types.NodesModifier, name: str) -> tuple[Any, str]:
@@ -122,7 +146,7 @@ def set_input(modifier: bpy.types.NodesModifier, name: str, value: Any) -> None:
 
 def has_input(modifier: bpy.types.NodesModifier, name: str) -> bool:
     """Whether the modifier's node group has an input of this label; a group from an older file may lack it."""
-    items = modifier.node_group.interface.items_tree
+    items: Any = modifier.node_group.interface.items_tree
     return any(i.item_type == "SOCKET" and i.in_out == "INPUT" and i.name == name for i in items)
 
 
@@ -135,6 +159,7 @@ def get_input(modifier: bpy.types.NodesModifier, name: str) -> Any:
 
 
 def _identifier(modifier: bpy.types.NodesModifier, name: str) -> str:
+    item: Any
     for item in modifier.node_group.interface.items_tree:
         if item.item_type == "SOCKET" and item.in_out == "INPUT" and item.name == name:
             return str(item.identifier)

@@ -11,13 +11,16 @@ import math
 from typing import Any
 
 import bpy
+import numpy as np
 
 from . import names
+from .attributes import read_attribute
 from .display_colors import SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF, splat_color
-from .materials import FAINTEST, render_material, viewport_material
-from .node_builder import Tree, find_group, geometry_group, get_input, set_input
+from .materials import FAINTEST, render_material
+from .node_builder import Tree, add_modifier, find_group, geometry_group, get_input, has_input, set_input
+from .octahedra import CORNERS, ensure_octahedra, octahedra_count
 
-VERSION = 2
+VERSION = 3
 
 VIEWPORT_LIMIT = 100_000
 VIEWPORT_SIGMAS = 1.6
@@ -79,10 +82,13 @@ _INPUTS: list[tuple[str, str, dict[str, Any]]] = [
 DISPLAY_INPUTS = tuple(label for label, _, _ in _INPUTS)
 """Labels of what can be set, in the order of the modifier."""
 
+OCTAHEDRA = "Octahedra"
+_HIDDEN: list[tuple[str, str, dict[str, Any]]] = [(OCTAHEDRA, "NodeSocketObject", {"hide_in_modifier": True})]
+
 
 def display_group() -> bpy.types.NodeTree:
     """The shared node group "GSkin Display"; built once per file."""
-    group, new = geometry_group(names.DISPLAY_MODIFIER, VERSION, _INPUTS)
+    group, new = geometry_group(names.DISPLAY_MODIFIER, VERSION, [*_INPUTS, *_HIDDEN])
     if new:
         _build(group)
     return group
@@ -97,11 +103,11 @@ def add_display(obj: bpy.types.Object) -> bpy.types.NodesModifier:
     """Give the object the display modifier, last in its stack; an existing one is kept."""
     modifier = find_display(obj)
     if modifier is None:
-        modifier = obj.modifiers.new(names.DISPLAY_MODIFIER, "NODES")
+        modifier = add_modifier(obj, names.DISPLAY_MODIFIER)
         modifier.node_group = display_group()
         # In Edit Mode the artist needs the points themselves.
         modifier.show_in_editmode = False
-        modifier.show_expanded = False
+        match_octahedra(obj)
     obj.modifiers.move(obj.modifiers.find(modifier.name), len(obj.modifiers) - 1)
     return modifier
 
@@ -109,6 +115,7 @@ def add_display(obj: bpy.types.Object) -> bpy.types.NodesModifier:
 def set_display(obj: bpy.types.Object, name: str, value: Any) -> None:
     """Set an input of the display by its label, one of `DISPLAY_INPUTS`, as "Display" or "Viewport Limit"."""
     set_input(add_display(obj), name, value)
+    match_octahedra(obj)
 
 
 def get_display(obj: bpy.types.Object, name: str) -> Any:
@@ -124,7 +131,7 @@ def _build(group: bpy.types.NodeTree) -> None:
     size = tree.output(source, "Size")
     in_viewport = tree.out("GeometryNodeIsViewport", "Is Viewport")
 
-    count = tree.out("GeometryNodeAttributeDomainSize", "Point Count", {"Geometry": splats}, component="MESH")
+    count = tree.domain_size(splats, "MESH")
     limited = tree.math("MINIMUM", count, tree.output(source, "Viewport Limit"))
     inputs = {"Switch": in_viewport, "False": count, "True": limited}
     shown = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="INT")
@@ -143,44 +150,45 @@ def _build(group: bpy.types.NodeTree) -> None:
     shown_as = (tree.output(source, label) for label in (SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF))
     color = splat_color(tree, sampled, *shown_as)
     points = tree.out("GeometryNodePoints", "Points", {"Count": shown, "Position": sampled("position", "FLOAT_VECTOR")})
-    points = tree.out(
-        "GeometryNodeStoreNamedAttribute",
-        "Geometry",
-        {"Geometry": points, "Name": names.COLOR, "Value": color},
-        data_type="FLOAT_COLOR",
-        domain="POINT",
-    )
 
-    visible = tree.out(
-        "FunctionNodeCompare",
-        "Result",
-        {"A": opacity, "B": tree.output(source, "Minimum Opacity")},
-        data_type="FLOAT",
-        operation="GREATER_EQUAL",
-    )
+    points = tree.store(points, names.COLOR, "FLOAT_COLOR", color)
     rotation, scale = sampled(names.ROTATION, "QUATERNION"), sampled(names.SCALE, "FLOAT_VECTOR")
 
-    def instances(shape: Any, sigmas: Any, selection: Any) -> Any:
+    def instances(shape: Any, factor: Any, selection: Any) -> Any:
         inputs = {
             "Points": points,
             "Instance": shape,
             "Selection": selection,
             "Rotation": rotation,
-            "Scale": tree.scale(scale, tree.math("MULTIPLY", size, sigmas)),
+            "Scale": tree.scale(scale, factor),
         }
         return tree.out("GeometryNodeInstanceOnPoints", "Instances", inputs)
 
-    octahedron = tree.out("GeometryNodeObjectInfo", "Geometry", {"Object": _octahedron()}, transform_space="ORIGINAL")
     # Fewer splats are drawn larger, so that the surface stays closed.
     wider = tree.math("MULTIPLY", tree.math("SQRT", tree.math("MINIMUM", step, 9.0)), VIEWPORT_SIGMAS)
-    solid = tree.out("GeometryNodeRealizeInstances", "Geometry", {"Geometry": instances(octahedron, wider, visible)})
+    wider = tree.math("MULTIPLY", size, wider)
+    faint = tree.math("LESS_THAN", opacity, tree.output(source, "Minimum Opacity"))
+    seen = tree.store(points, names.ROTATION, "QUATERNION", rotation)
+    seen = tree.store(seen, names.SCALE, "FLOAT_VECTOR", scale)
+    inputs = {"Geometry": seen, "Selection": faint}
+    seen = tree.out("GeometryNodeDeleteGeometry", "Geometry", inputs, domain="POINT")
+    borrowed = tree.object_geometry(tree.output(source, OCTAHEDRA))
+    # Where the settings were just changed, the helper may have another number; then faces are made the slow way.
+    corners = tree.math("MULTIPLY", tree.domain_size(seen, "POINTCLOUD"), float(CORNERS))
+    operands = {0: corners, 1: tree.domain_size(borrowed, "MESH"), 2: 0.5}
+    fits = tree.out("ShaderNodeMath", "Value", operands, operation="COMPARE")
+    bright = tree.math("SUBTRACT", 1.0, faint)
+    made = instances(tree.object_geometry(ensure_octahedra(1)), wider, bright)
+    made = tree.out("GeometryNodeRealizeInstances", "Geometry", {"Geometry": made})
+    inputs = {"Switch": fits, "False": made, "True": _place(tree, borrowed, seen, wider)}
+    solid = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
 
     sphere = tree.out("GeometryNodeMeshIcoSphere", "Mesh", {"Radius": 1.0, "Subdivisions": 2})
     sphere = tree.out("GeometryNodeSetMaterial", "Geometry", {"Geometry": sphere, "Material": render_material()})
     # The radius, in standard deviations, that `render_material` takes the sphere to have.
     ratio = tree.math("MAXIMUM", tree.math("MULTIPLY", opacity, 1 / FAINTEST), 1.0)
     reach = tree.math("SQRT", tree.math("MULTIPLY", tree.math("LOGARITHM", ratio, math.e), 2.0))
-    soft = instances(sphere, reach, tree.math("GREATER_THAN", reach, 0.0))
+    soft = instances(sphere, tree.math("MULTIPLY", size, reach), tree.math("GREATER_THAN", reach, 0.0))
 
     inputs = {"Switch": in_viewport, "False": soft, "True": solid}
     drawn = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
@@ -189,16 +197,43 @@ def _build(group: bpy.types.NodeTree) -> None:
     tree.node("NodeGroupOutput", {"Geometry": result})
 
 
-def _octahedron() -> bpy.types.Object:
-    """The viewport's shape: a helper in no collection, like the bone frames.
+def _place(tree: Tree, octahedra: Any, points: Any, factor: Any) -> Any:
+    """Octahedron i moved, turned, sized and coloured as point i says."""
+    index = tree.out("GeometryNodeInputIndex", "Index")
+    # Indices are whole, so that the half keeps rounding away from the next octahedron.
+    point = tree.math("FLOOR", tree.math("DIVIDE", tree.math("ADD", index, 0.5), float(CORNERS)))
 
-    A primitive node would do but for the colours: Solid mode shows the *active* colour attribute, nodes cannot choose
-    it, and Realize Instances takes the choice from the instanced mesh. The attribute itself comes with the instances.
+    def at_corner(name: str, kind: str) -> Any:
+        inputs = {"Geometry": points, "Value": tree.attribute(name, kind), "Index": point}
+        return tree.out("GeometryNodeSampleIndex", "Value", inputs, data_type=kind, domain="POINT")
+
+    corner = tree.scale(tree.out("GeometryNodeInputPosition", "Position"), factor)
+    corner = tree.vector("MULTIPLY", corner, at_corner(names.SCALE, "FLOAT_VECTOR"))
+    inputs = {"Vector": corner, "Rotation": at_corner(names.ROTATION, "QUATERNION")}
+    corner = tree.out("FunctionNodeRotateVector", "Vector", inputs)
+    corner = tree.vector("ADD", corner, at_corner("position", "FLOAT_VECTOR"))
+    placed = tree.out("GeometryNodeSetPosition", "Geometry", {"Geometry": octahedra, "Position": corner})
+    return tree.store(placed, names.COLOR, "FLOAT_COLOR", at_corner(names.COLOR, "FLOAT_COLOR"))
+
+
+def match_octahedra(obj: bpy.types.Object) -> None:
+    """Give the display as many octahedra as splats are seen in the viewport; then it is drawn fast.
+
+    Called where the settings or the splats change; nothing depends on it but speed.
     """
-    mesh = bpy.data.meshes.new("GSkin Octahedron")
-    corners = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
-    faces = [(0, 2, 4), (2, 1, 4), (1, 3, 4), (3, 0, 4), (2, 0, 5), (1, 2, 5), (3, 1, 5), (0, 3, 5)]
-    mesh.from_pydata(corners, [], faces)
-    mesh.materials.append(viewport_material())
-    mesh.color_attributes.active_color_name = names.COLOR
-    return bpy.data.objects.new(mesh.name, mesh)
+    modifier = find_display(obj)
+    if modifier is None or not has_input(modifier, OCTAHEDRA):
+        return
+    seen = _count_seen(obj, get_input(modifier, "Viewport Limit"), get_input(modifier, "Minimum Opacity"))
+    if octahedra_count(get_input(modifier, OCTAHEDRA)) != seen:
+        set_input(modifier, OCTAHEDRA, ensure_octahedra(seen) if seen else None)
+
+
+def _count_seen(obj: bpy.types.Object, limit: int, least: float) -> int:
+    """As the nodes choose, in float32 as they do."""
+    base = read_attribute(obj.data, names.BASE)
+    if base is None or len(base) == 0:
+        return 0
+    shown = min(len(base), limit)
+    splat = np.floor(np.arange(shown, dtype=np.float32) * (np.float32(len(base)) / np.float32(shown))).astype(np.int64)
+    return int(np.count_nonzero(base[splat, 3] >= np.float32(least)))

@@ -36,7 +36,7 @@ class ObjectRef:
 
 def object_by_uid(uid: int, name: str = "") -> bpy.types.Object | None:
     """The object with this session id; looked for first under `name`, which is quick where it still has it."""
-    obj = bpy.data.objects.get(name)
+    obj: bpy.types.Object | None = bpy.data.objects.get(name)
     if obj is None or obj.session_uid != uid:
         obj = next((other for other in bpy.data.objects if other.session_uid == uid), None)
     return obj

@@ -31,7 +31,7 @@ def turn_bones(
     """
     world = armature.matrix_world.to_quaternion()
     for name, vector in turns.items():
-        bone = armature.pose.bones.get(name)
+        bone: bpy.types.PoseBone | None = armature.pose.bones.get(name)
         if bone is None:
             raise InputError(
                 f"Armature '{armature.name}' has no bone '{name}'; its bones are listed in Edit Mode."

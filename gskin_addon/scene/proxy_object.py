@@ -25,19 +25,16 @@ from .weights import NewWeights
 Array = NDArray[Any]
 
 
-def create_proxy(
-    name: str, verts: Array, faces: Array, armature: bpy.types.Object, weights: Array, bones: Sequence[str]
-) -> bpy.types.Object:
-    """A mesh object of verts (V, 3), world, and faces (F, 3) that `armature` moves by weights (V, B).
+def create_mesh_object(name: str, verts: Array, faces: Array) -> bpy.types.Object:
+    """A mesh object of verts (V, 3), world, and faces (F, 3) for splats to hang on.
 
-    It is drawn as wires and not rendered: the splats that hang on it are what is seen.
+    It is drawn as wires and not rendered: the splats are what is seen.
     """
     mesh = bpy.data.meshes.new(name)
     mesh.from_pydata(np.asarray(verts, float).tolist(), [], np.asarray(faces).tolist())
     obj = bpy.data.objects.new(name, mesh)
     bpy.context.scene.collection.objects.link(obj)
     obj.display_type, obj.hide_render = "WIRE", True
-    bind_proxy(obj, armature, weights, bones)
     return obj
 
 

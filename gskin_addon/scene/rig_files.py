@@ -3,15 +3,13 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 from pathlib import Path
 from typing import Any
 
 import bpy
 
 from ..core.errors import GSkinError, InputError
-from ..core.files import disk_error
+from ..core.files import replaced
 from .bone_frames import is_bone_frames
 from .splat_object import is_splat_object
 
@@ -61,22 +59,18 @@ def find_splats(path: Path, name: str | None = None) -> bpy.types.Object:
 
 def save_blend(path: Path) -> None:
     """Save the present file at `path`, by way of a temporary file. Raises GSkinError where that fails."""
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp.blend").absolute()
     try:
-        bpy.ops.wm.save_as_mainfile(filepath=str(temporary), check_existing=False, copy=True, compress=True)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise disk_error(error, path) from error
+        with replaced(path, ".blend") as temporary:
+            temporary.unlink()  # Blender would keep what is there as a backup, .blend1
+            bpy.ops.wm.save_as_mainfile(filepath=str(temporary), check_existing=False, copy=True, compress=True)
     except RuntimeError as error:
         raise GSkinError(f"'{path}' could not be written ({_reason(error)}); check folder and free space.") from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 def _append(path: Path) -> None:
     try:
-        with bpy.data.libraries.load(str(path.absolute()), link=False) as (source, target):
+        libraries: Any = bpy.data.libraries
+        with libraries.load(str(path.absolute()), link=False) as (source, target):
             target.objects = list(source.objects)
             target.actions = list(source.actions)
     except (OSError, RuntimeError, ValueError) as error:
@@ -104,7 +98,8 @@ def _import(path: Path) -> None:
         else:
             # glTF has no bone tails; this points them at the children and keeps Blender's own bones.
             options: dict[str, Any] = {"bone_heuristic": "TEMPERANCE"}
-            if "disable_bone_shape" in bpy.ops.import_scene.gltf.get_rna_type().properties:
+            gltf: Any = bpy.ops.import_scene.gltf
+            if "disable_bone_shape" in gltf.get_rna_type().properties:
                 options["disable_bone_shape"] = True
             bpy.ops.import_scene.gltf(filepath=str(path.absolute()), **options)
     except (RuntimeError, AttributeError, ValueError, KeyError, TypeError, IndexError, OSError) as error:
@@ -135,11 +130,13 @@ def _remove_others(armature: bpy.types.Object, added: list[bpy.types.Object]) ->
         parent = parent.parent
     for bone in armature.pose.bones:
         needed.update(shape for shape in [bone.custom_shape] if shape is not None)
-        needed.update(c.target for c in bone.constraints if getattr(c, "target", None) is not None)
+        targets = [getattr(constraint, "target", None) for constraint in bone.constraints]
+        needed.update(target for target in targets if target is not None)
     for obj in added:
         if obj not in needed and not is_bone_frames(obj):
             bpy.data.objects.remove(obj)
-    bpy.data.orphans_purge(do_local_ids=True, do_linked_ids=True, do_recursive=True)
+    data: Any = bpy.data
+    data.orphans_purge(do_local_ids=True, do_linked_ids=True, do_recursive=True)
 
 
 def _remedy(error: BaseException) -> str:

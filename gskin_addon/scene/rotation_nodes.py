@@ -13,7 +13,7 @@ from typing import Any
 import bpy
 
 from . import names
-from .node_builder import Tree, find_group, geometry_group, get_input, set_input
+from .node_builder import Tree, add_modifier, find_group, geometry_group, get_input, set_input
 
 VERSION = 1
 FRAMES_INPUT = "Bone Frames"
@@ -42,8 +42,7 @@ def add_rotation(obj: bpy.types.Object, frames: bpy.types.Object, after: bpy.typ
     """Give the object the rotation modifier directly behind `after` (its Armature modifier), or repoint it."""
     modifier = find_rotation(obj)
     if modifier is None:
-        modifier = obj.modifiers.new(names.ROTATION_MODIFIER, "NODES")
-        modifier.show_expanded = False
+        modifier = add_modifier(obj, names.ROTATION_MODIFIER)
     modifier.node_group = rotation_group()
     set_input(modifier, FRAMES_INPUT, frames)
     here, there = obj.modifiers.find(modifier.name), obj.modifiers.find(after.name)

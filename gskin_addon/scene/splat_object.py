@@ -19,11 +19,14 @@ from ..core.rig.quaternion import normalize
 from ..core.splats.axes import rotate_cloud
 from ..core.splats.cloud import SplatCloud
 from . import names
-from .attributes import read_attribute, read_positions, write_attribute, write_positions
+from .attributes import ObjectData, read_attribute, read_positions, write_attribute, write_positions
 from .node_groups import add_display
 from .transforms import world_similarity
 
 VERSION = 1
+
+_PLACES = 64
+"""Splats whose places tell whether the positions were turned or scaled without the other attributes."""
 
 
 def create_splat_object(
@@ -48,7 +51,7 @@ def create_splat_object(
 
 def is_splat_object(obj: bpy.types.Object | None) -> bool:
     """Whether `obj` is a mesh that gskin made from splats."""
-    return obj is not None and obj.type == "MESH" and names.MARK in obj.data
+    return obj is not None and obj.type == "MESH" and obj.data.get(names.MARK) is not None
 
 
 def splat_count(obj: bpy.types.Object) -> int:
@@ -66,7 +69,7 @@ def read_cloud(obj: bpy.types.Object, *, world: bool = True) -> SplatCloud:
             f"'{getattr(obj, 'name', obj)}' is no splat object; import a Gaussian splat .ply and select it."
         )
     refuse_edit_mode(obj)
-    mesh = obj.data
+    mesh: ObjectData = obj.data
     if len(mesh.vertices) == 0:
         raise InputError(f"'{obj.name}' has no splats left; import it again.")
     base = _require(obj, names.BASE)
@@ -94,7 +97,8 @@ def replace_cloud(obj: bpy.types.Object, cloud: SplatCloud) -> None:
             f"'{obj.name}' has {splat_count(obj)} splats and the new values are for {cloud.count}; "
             "create a new object for them."
         )
-    _write_columns(obj.data, cloud)
+    mesh: ObjectData = obj.data
+    _write_columns(mesh, cloud)
 
 
 def refuse_edit_mode(obj: bpy.types.Object) -> None:
@@ -118,7 +122,29 @@ def _write_columns(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
         if kind is not None:
             write_attribute(mesh, names.EXTRA.format(column), kind, values)
             kept.append(column)
+    mark = mesh.get(names.MARK)
+    up = None if mark is None else mark.get("up")
     mesh[names.MARK] = {"version": VERSION, "sh_degree": cloud.sh_degree, "extra": "\n".join(kept)}
+    if up is not None:
+        mesh[names.MARK]["up"] = up
+    remember_places(mesh)
+
+
+def remember_places(mesh: bpy.types.Mesh) -> None:
+    """Store where a few splats are, as a sign that all attributes fit these positions (see `follow_transforms.py`)."""
+    count = len(mesh.vertices)
+    index = np.linspace(0, count - 1, min(count, _PLACES)).astype(int)
+    places = np.array([mesh.vertices[i].co for i in index.tolist()], dtype=np.float64)
+    mesh[names.PLACES] = {"count": count, "index": index.tolist(), "points": places.ravel().tolist()}
+
+
+def reference_points(mesh: bpy.types.Mesh) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Stored and present positions (k, 3) of a few splats; None where none are stored for this number of splats."""
+    stored = mesh.get(names.PLACES)
+    if stored is None or stored["count"] != len(mesh.vertices):
+        return None
+    now = np.array([mesh.vertices[i].co for i in stored["index"]], dtype=np.float64)
+    return np.array(stored["points"], dtype=np.float64).reshape(-1, 3), now
 
 
 def _kind_of(values: NDArray[Any]) -> str | None:

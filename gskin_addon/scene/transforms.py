@@ -21,6 +21,11 @@ def world_similarity(obj: bpy.types.Object) -> tuple[Array, float, Array]:
     and scale of its own.
     """
     bpy.context.view_layer.update()  # matrix_world lags behind location, rotation and scale set by a script
+    return similarity_as_shown(obj)
+
+
+def similarity_as_shown(obj: bpy.types.Object) -> tuple[Array, float, Array]:
+    """`world_similarity` as of the last update, for panels: while they draw, nothing may be updated."""
     matrix = np.array(obj.matrix_world, dtype=np.float64)
     linear = matrix[:3, :3]
     scale = float(np.cbrt(np.linalg.det(linear)))

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
-from .attributes import write_attribute
+from .attributes import ObjectData, write_attribute
 from .object_ref import ObjectRef, object_by_uid
 from .steps import Steps
 
@@ -81,8 +81,10 @@ class GroupsAside:
         Raises InputError as `check` does; nothing is written then.
         """
         obj = self.check()
-        aside, old = self._object(), obj.data
-        mesh, name = aside.data, old.name
+        aside = self._object()
+        old: ObjectData = obj.data
+        mesh: ObjectData = aside.data
+        name = old.name
         mode = _leave_paint_mode(obj)
         mesh.use_fake_user = old.use_fake_user
         bpy.data.objects.remove(aside)
@@ -141,6 +143,6 @@ def _leave_paint_mode(obj: bpy.types.Object) -> str:
     return mode
 
 
-def _set_mode(obj: bpy.types.Object, mode: str) -> None:
+def _set_mode(obj: bpy.types.Object, mode: Any) -> None:
     with bpy.context.temp_override(object=obj, active_object=obj):
         bpy.ops.object.mode_set(mode=mode)

@@ -3,17 +3,31 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 import bpy
 
+from ..scene.anchored import proxy_of
+from ..scene.proxy_object import followed_armature
 from ..scene.splat_object import is_splat_object
 
 if TYPE_CHECKING:
     from .properties import GSkinSettings
 
 
-def _in_scene(obj: bpy.types.Object, scene: bpy.types.Scene) -> bool:
+_last = 0
+"""Session id of the splats chosen last."""
+
+
+def panel_settings(context: bpy.types.Context) -> GSkinSettings:
+    """The scene's choices for Auto-Skin, `scene.gskin`."""
+    scene: Any = context.scene
+    settings: GSkinSettings = scene.gskin
+    return settings
+
+
+def _in_scene(obj: bpy.types.Object, scene: Any) -> bool:
     # An object that was deleted lives on while a property names it, so being in bpy.data proves nothing.
     return scene.objects.get(obj.name) == obj
 
@@ -31,16 +45,25 @@ def is_proxy(settings: GSkinSettings, obj: bpy.types.Object) -> bool:
 
 
 def chosen_splats(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The splat object of the settings, else the active or the only selected one."""
-    settings = context.scene.gskin
+    """The splat object of the settings, else the active or the only selected one, else that of the active rig.
+
+    While a rig (or the mesh that splats hang on) is posed, the click is still about its splats; where it moves
+    several, about those chosen last.
+    """
+    global _last
+    settings = panel_settings(context)
     if settings.splats is not None and is_splats(settings, settings.splats):
-        return settings.splats
-    return _selected(context, is_splat_object)
+        found: bpy.types.Object | None = settings.splats
+    else:
+        found = _selected(context, is_splat_object) or _carried_by_active(context)
+    if found is not None:
+        _last = found.session_uid
+    return found
 
 
 def chosen_armature(context: bpy.types.Context) -> bpy.types.Object | None:
     """The armature of the settings, else the selected, else the one the splats follow, else the only one."""
-    settings = context.scene.gskin
+    settings = panel_settings(context)
     if settings.armature is not None and is_armature(settings, settings.armature):
         return settings.armature
     selected = _selected(context, lambda obj: obj.type == "ARMATURE")
@@ -56,11 +79,25 @@ def chosen_armature(context: bpy.types.Context) -> bpy.types.Object | None:
 
 def proxy_mesh(context: bpy.types.Context) -> bpy.types.Object | None:
     """The proxy mesh of the settings, where it is still in the scene."""
-    settings = context.scene.gskin
+    settings = panel_settings(context)
     return settings.proxy if settings.proxy is not None and is_proxy(settings, settings.proxy) else None
 
 
-def _selected(context: bpy.types.Context, fits) -> bpy.types.Object | None:
+def _carried_by_active(context: bpy.types.Context) -> bpy.types.Object | None:
+    active = context.view_layer.objects.active
+    if active is None or is_splat_object(active) or active.type not in {"ARMATURE", "MESH"}:
+        return None
+    carried = [obj for obj in context.scene.objects if is_splat_object(obj) and active in _carriers(obj)]
+    if len(carried) > 1:
+        carried = [obj for obj in carried if obj.session_uid == _last]
+    return carried[0] if len(carried) == 1 else None
+
+
+def _carriers(splats: bpy.types.Object) -> tuple[bpy.types.Object | None, ...]:
+    return followed_armature(splats), proxy_of(splats)
+
+
+def _selected(context: bpy.types.Context, fits: Callable[[bpy.types.Object], bool]) -> bpy.types.Object | None:
     active = context.view_layer.objects.active
     if active is not None and fits(active):
         return active

@@ -7,7 +7,7 @@ bring it along.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import bpy
 
@@ -59,7 +59,7 @@ def _model(name: str, description: str) -> Any:
 def _folder(name: str, description: str) -> Any:
     # From 4.5 on Blender wants to be told that // is understood; before, it does not know the word.
     relative = "is_path_supports_blend_relative" in bpy.types.Property.bl_rna.properties
-    options = {"ANIMATABLE", "PATH_SUPPORTS_BLEND_RELATIVE"} if relative else {"ANIMATABLE"}
+    options: Any = {"ANIMATABLE", "PATH_SUPPORTS_BLEND_RELATIVE"} if relative else {"ANIMATABLE"}
     return bpy.props.StringProperty(name=name, description=description, subtype="DIR_PATH", options=options)
 
 
@@ -71,6 +71,10 @@ def _path(text: str) -> str:
 
 class _Options:
     """Properties with the names of a provider's options."""
+
+    if TYPE_CHECKING:
+        guidance: str
+        bl_rna: Any  # every property group has it
 
     def as_options(self) -> dict[str, Any]:
         """Those that differ from the provider's defaults, as a job's options."""
@@ -152,10 +156,11 @@ class GSkinGuidance(bpy.types.PropertyGroup):
         """The job's options of a guidance; empty for those that need no model."""
         if guidance not in PROVIDER_OPTIONS:
             return {}
-        options = getattr(self, guidance).as_options()
-        if self.allow_download and online():
-            options["allow_download"] = True
-        return options
+        return getattr(self, guidance).as_options()
+
+    def may_download(self) -> bool:
+        """Whether the person agreed to fetch what is missing, and Blender may go online at all."""
+        return self.allow_download and online()
 
 
 CLASSES = (GSkinFluxRepair, GSkinLightningDrag, GSkinGuidance)

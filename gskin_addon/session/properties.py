@@ -88,6 +88,11 @@ class GSkinSettings(bpy.types.PropertyGroup):
         min=0,
     )
 
+    def needs_runtime(self) -> bool:
+        """Whether these choices need a Python with torch."""
+        chosen = JobSettings(guidance=self.guidance, init=self.init)
+        return chosen.needs_runtime or (self.proxy is not None and is_proxy(self, self.proxy))
+
     def as_job(self) -> dict[str, Any]:
         """The choices as settings of a job."""
         names = ("preset", "guidance", "init", "front", "max_influences", "seed")
@@ -99,8 +104,10 @@ CLASSES = (GSkinSettings,)
 
 
 def register() -> None:
-    bpy.types.Scene.gskin = bpy.props.PointerProperty(type=GSkinSettings)
+    scenes: Any = bpy.types.Scene
+    scenes.gskin = bpy.props.PointerProperty(type=GSkinSettings)
 
 
 def unregister() -> None:
-    del bpy.types.Scene.gskin
+    scenes: Any = bpy.types.Scene
+    del scenes.gskin

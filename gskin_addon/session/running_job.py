@@ -6,6 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import bpy
+from bpy.app.handlers import persistent
+
 if TYPE_CHECKING:
     from .skin_job import SkinJob
 
@@ -39,3 +42,20 @@ def stop() -> None:
     if state.job is not None:
         state.job.cancel()
     end("")
+
+
+@persistent
+def forget_outcome(*_: object) -> None:
+    """Another file was loaded: what the last job said is about objects of the old one."""
+    if state.job is None:
+        end("")
+
+
+def register() -> None:
+    bpy.app.handlers.load_post.append(forget_outcome)
+
+
+def unregister() -> None:
+    stop()
+    if forget_outcome in bpy.app.handlers.load_post:
+        bpy.app.handlers.load_post.remove(forget_outcome)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,11 +14,12 @@ from typing import Any
 import bpy
 
 from ..core.errors import GSkinError, InputError
-from ..core.job.contract import LOCK, fingerprint, write_job
+from ..core.job.contract import LOCK, Result, prepare_job
 from ..core.job.lock import job_lock
-from ..core.job.mesh_files import mesh_name, write_mesh
+from ..core.job.mesh_files import mesh_file
 from ..core.job.progress import ProgressEvent
 from ..core.worker.client import WorkerClient
+from ..core.worker.own_python import own_python
 from ..scene import names
 from ..scene.anchored import read_world_mesh
 from ..scene.armature import read_skeleton
@@ -43,10 +45,13 @@ class SkinJob:
     count: int
     max_influences: int
     proxy: tuple[int, str] | None = None
+    anchored: bool = True
+    kept: bool = False
     started: float = field(default_factory=time.monotonic)
     progress: ProgressEvent = field(default_factory=lambda: ProgressEvent("start"))
     progress_at: float = field(default_factory=time.monotonic)
     cancelling: bool = False
+    _result: Result | None = None
 
     @classmethod
     def start(
@@ -56,10 +61,18 @@ class SkinJob:
         settings: dict[str, Any],
         python: Path,
         proxy: bpy.types.Object | None = None,
+        *,
+        anchored: bool = True,
+        folder: Path | None = None,
+        label: str = "",
+        allow_download: bool = False,
     ) -> SkinJob:
         """Write the job of these objects at rest, in world space, and start a worker on it.
 
-        With `proxy`, a mesh object, the weights are learned on its vertices and the splats are anchored to it.
+        With `proxy`, a mesh object, the weights are learned on its vertices and the splats are anchored to it, or
+        (anchored=False) get weights of their own from it. folder: where the job is kept, also after its end; one of
+        the user's own, for the time of the run, when left out. label: what messages call the splats.
+        allow_download: the person agreed to fetch models that are missing; this run only, nothing keeps it.
 
         Raises:
             InputError: objects that cannot be skinned, an interpreter that cannot be started.
@@ -67,24 +80,30 @@ class SkinJob:
         """
         skeleton = read_skeleton(armature)
         cloud = read_cloud(splats)
-        home = jobs_folder()
-        forget_old_jobs(home)
-        mesh = None if proxy is None else read_world_mesh(proxy)
-        if mesh is not None:
-            settings = {**settings, "mesh": mesh_name(*mesh)}
-        folder = home / fingerprint(cloud, skeleton, settings)
-        write_job(
-            folder,
+        files = {}
+        if proxy is not None:
+            name, arrays = mesh_file(*read_world_mesh(proxy))
+            settings, files = {**settings, "mesh": name}, {name: arrays}
+        job = prepare_job(
             cloud,
             skeleton,
             settings,
-            splats=f"'{splats.name}'",
+            files=files,
+            splats=label or f"'{splats.name}'",
             armature=f"Armature '{armature.name}'",
             up=str(splats.data[names.MARK].get("up", "z")),
         )
-        if mesh is not None:
-            write_mesh(folder, *mesh)
-        client = WorkerClient(python, folder, gentle=not bpy.app.background)
+        home = folder
+        if home is None:
+            forget_old_jobs(jobs_folder())
+            home = jobs_folder() / job.fingerprint
+        client = WorkerClient(
+            python,
+            job.write(home),
+            isolated=python == own_python(),
+            gentle=not bpy.app.background,
+            allow_download=allow_download,
+        )
         client.start()
         return cls(
             client,
@@ -93,7 +112,17 @@ class SkinJob:
             cloud.count,
             int(settings["max_influences"]),
             None if proxy is None else (proxy.session_uid, proxy.name),
+            anchored,
+            folder is not None,
         )
+
+    def wait(self, show: Callable[[ProgressEvent], None]) -> None:
+        """Wait for the worker and `show` its progress; for programs without a window.
+
+        Raises:
+            WorkerError: the job failed. Cancelled: it was cancelled.
+        """
+        self._result = self.client.wait(show)
 
     def step(self) -> bool:
         """Take in what the worker said; True while it runs. Never waits.
@@ -126,7 +155,7 @@ class SkinJob:
     def apply_steps(self) -> Steps[str]:
         """`apply` in slices. Only the last one changes the scene; closing it before leaves all as it was."""
         splats, armature, *proxies = self._objects()
-        result = self.client.result()
+        result = self.client.result() if self._result is None else self._result
         if splat_count(splats) != self.count:
             raise InputError(
                 f"'{splats.name}' had {self.count} splats when the job started, now {splat_count(splats)}; "
@@ -134,12 +163,15 @@ class SkinJob:
             )
         name = armature.name
         options: dict[str, Any] = {"max_influences": self.max_influences, "confidence": result.confidence}
-        if proxies:
-            given = (splats, *proxies, armature, result.weights, result.mesh_weights, result.bones)
-            yield from iter_write_weights_through(*given, **options)
+        if proxies and self.anchored:
+            if result.mesh_weights is None:
+                raise GSkinError("The worker gave no weights for the mesh; run Auto-Skin again.")
+            weights = result.weights, result.mesh_weights
+            yield from iter_write_weights_through(splats, proxies[0], armature, *weights, result.bones, **options)
         else:
             yield from iter_write_weights(splats, armature, result.weights, result.bones, **options)
-        shutil.rmtree(self.client.folder, ignore_errors=True)
+        if not self.kept:
+            shutil.rmtree(self.client.folder, ignore_errors=True)
         seconds = time.monotonic() - self.started
         words = f"{self.count:,} splats follow {len(result.bones)} bones of '{name}' ({seconds:.0f} s)"
         summary = result.report.get("summary")

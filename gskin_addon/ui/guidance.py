@@ -32,7 +32,7 @@ def _draw_flux_repair(settings: bpy.types.PropertyGroup, layout: bpy.types.UILay
         layout.prop(settings, name)
 
 
-def _draw_lightning_drag(settings: bpy.types.PropertyGroup, layout: bpy.types.UILayout) -> None:
+def _draw_lightning_drag(settings: guidance_settings.GSkinLightningDrag, layout: bpy.types.UILayout) -> None:
     """Add the settings to `layout`."""
     layout.prop(settings, "models")
     header, body = layout.panel("gskin_lightning_drag_models", default_closed=True)

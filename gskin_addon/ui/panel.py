@@ -6,10 +6,12 @@ from __future__ import annotations
 import bpy
 
 from ..core.guidance import NO_GUIDANCE
-from ..session.chosen import chosen_armature, chosen_splats
-from ..session.readiness import what_is_missing
+from ..session.chosen import chosen_armature, chosen_splats, panel_settings
+from ..session.estimate import expected_time
+from ..session.properties import GSkinSettings
 from ..session.running_job import state
-from . import guidance, progress
+from . import arrival, check_list, guidance, progress
+from .job_presets import GSKIN_PT_job_presets
 
 
 class GSKIN_PT_main(bpy.types.Panel):
@@ -19,11 +21,14 @@ class GSKIN_PT_main(bpy.types.Panel):
     bl_region_type = "UI"
     bl_category = "GSkin"
 
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        GSKIN_PT_job_presets.draw_panel_header(self.layout)
+
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
         layout.operator("gskin.import_splats", icon="IMPORT")
 
-        settings = context.scene.gskin
+        settings = panel_settings(context)
         column = layout.column()
         column.use_property_split = True
         column.use_property_decorate = False
@@ -33,26 +38,36 @@ class GSKIN_PT_main(bpy.types.Panel):
         column.prop(settings, "proxy", icon="OUTLINER_OB_MESH")
         if settings.splats is None or settings.armature is None:
             self._draw_chosen(context, column)
-        column.separator()
-        column.prop(settings, "init")
-        column.prop(settings, "guidance")
-        guidance.draw(column, settings.models, settings.guidance)
-        # What has no effect is not shown.
-        if settings.guidance != NO_GUIDANCE:
-            column.prop(settings, "preset")
-            column.prop(settings, "seed")
-        if settings.guidance != NO_GUIDANCE or settings.init == "visibility":
-            column.prop(settings, "front")
-        column.prop(settings, "max_influences")
+        arrival.draw(context, column)
+        self._draw_settings(settings, column)
 
         if state.job is None:
+            check_list.draw(context, layout)
             row = layout.row()
-            row.scale_y = 1.4
-            row.operator("gskin.auto_skin", icon="MOD_ARMATURE")
-            problem = what_is_missing(context)
-            if problem:
-                self._draw_wrapped(context, layout, problem)
-        progress.draw(layout, context.region.width)
+            row.scale_y = 1.6
+            time = expected_time(context)
+            text = f"Auto-Skin Gaussians ({time})" if time else "Auto-Skin Gaussians"
+            row.operator("gskin.auto_skin", text=text, icon="MOD_ARMATURE")
+        progress.draw(layout, context.region.width if context.region is not None else 300)
+        if state.job is None:
+            progress.draw_confidence(layout, chosen_splats(context))
+
+    def _draw_settings(self, settings: GSkinSettings, layout: bpy.types.UILayout) -> None:
+        """How the weights are made, folded away: the defaults are good."""
+        header, body = layout.panel("gskin_settings", default_closed=True)
+        header.label(text="Settings")
+        if body is None:
+            return
+        body.prop(settings, "init")
+        body.prop(settings, "guidance")
+        guidance.draw(body, settings.models, settings.guidance)
+        # What has no effect is not shown.
+        if settings.guidance != NO_GUIDANCE:
+            body.prop(settings, "preset")
+            body.prop(settings, "seed")
+        if settings.guidance != NO_GUIDANCE or settings.init == "visibility":
+            body.prop(settings, "front")
+        body.prop(settings, "max_influences")
 
     def _draw_chosen(self, context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
         """Say which objects the selection stands for, where no object is named."""
@@ -61,12 +76,6 @@ class GSKIN_PT_main(bpy.types.Panel):
             row = layout.row()
             row.active = False
             row.label(text="Selected: " + ", ".join(names))
-
-    def _draw_wrapped(self, context: bpy.types.Context, layout: bpy.types.UILayout, text: str) -> None:
-        column = layout.column(align=True)
-        column.active = False
-        for part in progress.wrap(text, context.region.width):
-            column.label(text=part)
 
 
 CLASSES = (GSKIN_PT_main,)

@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 import textwrap
+from typing import Any
 
 import bpy
 
 from ..core.job.progress_text import time_left
+from ..session.confidence import sure_share
 from ..session.running_job import state
 
 
@@ -26,12 +28,22 @@ def draw(layout: bpy.types.UILayout, width: int) -> None:
         layout.operator("gskin.cancel_auto_skin", icon="X")
     elif state.outcome:
         box = layout.box().column(align=True)
-        icon = "ERROR" if state.failed else "INFO"
+        icon: Any = "ERROR" if state.failed else "INFO"
         for text in wrap(state.outcome, width):
             box.label(text=text, icon=icon)
             icon = "BLANK1"
         if state.details:
             box.label(text="The details are in the system console", icon="BLANK1")
+
+
+def draw_confidence(layout: bpy.types.UILayout, splats: bpy.types.Object | None) -> None:
+    """A bar of how many splats have sure weights, and the click that shows the others; nothing where none knows."""
+    share = None if splats is None else sure_share(splats)
+    if share is None:
+        return
+    row = layout.row(align=True)
+    row.progress(factor=share, text=f"{share:.0%} of the splats are sure")
+    row.operator("gskin.select_unsure_splats", text="", icon="RESTRICT_SELECT_OFF")
 
 
 def wrap(text: str, width: int) -> list[str]:

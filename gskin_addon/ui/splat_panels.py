@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Below GSkin's panel: how the chosen splats are drawn, and weights that come from elsewhere."""
+"""Below GSkin's panel: how the chosen splats are drawn, and weights and files, and what cleans them up."""
 
 from __future__ import annotations
 
 import bpy
 
 from ..scene import names
-from ..scene.bone_frames import armature_of
+from ..scene.anchored import proxy_of
 from ..scene.display_colors import SHOW_CONFIDENCE, SHOW_WEIGHTS_OF
 from ..scene.node_builder import has_input, input_property
 from ..scene.node_groups import DISPLAY_INPUTS, find_display
@@ -58,12 +58,28 @@ class GSKIN_PT_weights(_Child, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         column = self.layout.column()
-        column.operator("gskin.load_weights", icon="FILE_FOLDER")
+        row = column.row(align=True)
+        row.operator("gskin.load_weights", text="Load...", icon="FILE_FOLDER")
+        row.operator("gskin.save_weights", text="Save...", icon="FILE_TICK")
         column.operator("gskin.bind_to_armature", icon="LINKED")
-        if armature_of(chosen_splats(context)) is not None:
-            column.operator("gskin.update_rotation_weights", icon="FILE_REFRESH")
-        if names.CONFIDENCE in chosen_splats(context).data.attributes:
-            column.operator("gskin.select_unsure_splats", icon="RESTRICT_SELECT_OFF")
+        column.operator("gskin.update_rotation_weights", icon="FILE_REFRESH")
+        column.separator()
+        if proxy_of(chosen_splats(context)) is None:
+            column.operator("gskin.anchor_to_mesh", icon="MESH_DATA")
+        else:
+            column.operator("gskin.release_from_mesh", icon="UNLINKED")
+
+
+class GSKIN_PT_export(_Child, bpy.types.Panel):
+    bl_idname = "GSKIN_PT_export"
+    bl_label = "Export"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return chosen_splats(context) is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        self.layout.operator("gskin.export_glb", icon="EXPORT")
 
 
 class GSKIN_PT_hygiene(_Child, bpy.types.Panel):
@@ -80,4 +96,4 @@ class GSKIN_PT_hygiene(_Child, bpy.types.Panel):
         column.operator("gskin.clean_splats", icon="BRUSH_DATA")
 
 
-CLASSES = (GSKIN_PT_display, GSKIN_PT_weights, GSKIN_PT_hygiene)
+CLASSES = (GSKIN_PT_display, GSKIN_PT_weights, GSKIN_PT_export, GSKIN_PT_hygiene)

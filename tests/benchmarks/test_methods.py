@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from benchmark_bodies import capsule, capsule_asset, two_bones
 
-from benchmarks.quality.methods import Subject, Unavailable, create_method
+from benchmarks.quality.methods import MethodInput, Unavailable, create_method
 from benchmarks.quality.methods.base import complete, nearest_bone
 from benchmarks.quality.methods.heat import weld
 from benchmarks.quality.methods.job import job_settings
@@ -13,7 +13,7 @@ from benchmarks.quality.methods.job import job_settings
 @pytest.fixture(scope="module")
 def subject():
     asset = capsule_asset()
-    return Subject(asset, asset.skeleton, asset.weights)
+    return MethodInput(asset, asset.skeleton, asset.weights)
 
 
 def test_bbw_of_a_bar_is_bounded_a_partition_of_unity_and_symmetric():
@@ -100,7 +100,7 @@ def test_unreachable_parts_of_a_mesh_count_as_partly_failed(subject):
     surface = subject.surface
     verts, faces = np.concatenate([verts, verts * 1.4]), np.concatenate([faces, faces + len(verts)])
     twice = replace(surface, verts=verts, faces=faces)
-    both = Subject(replace(subject.asset, surface=twice), subject.skeleton, None)
+    both = MethodInput(replace(subject.asset, surface=twice), subject.skeleton, None)
     made = create_method("heat_mesh").make(both)
     assert made.partly
     assert "follow their nearest bone" in made.note

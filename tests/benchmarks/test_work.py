@@ -8,7 +8,7 @@ from PIL import Image
 from benchmarks.quality import pictures, work
 from benchmarks.quality.catalog import Entry
 from benchmarks.quality.methods import Method
-from benchmarks.quality.methods.base import Made, Unavailable, rigid_weights
+from benchmarks.quality.methods.base import MethodResult, Unavailable, rigid_weights
 from benchmarks.quality.protocol import Protocol
 from benchmarks.quality.results import FAILED, OK, load_weights, save_weights, weights_path
 from benchmarks.quality.summary import Summary
@@ -34,8 +34,8 @@ def _absent(subject):
 
 
 METHODS = {
-    "truth": Method(lambda subject: Made(subject.truth)),
-    "nearest": Method(lambda subject: Made(rigid_weights(subject.cloud.means, subject.skeleton))),
+    "truth": Method(lambda subject: MethodResult(subject.truth)),
+    "nearest": Method(lambda subject: MethodResult(rigid_weights(subject.cloud.means, subject.skeleton))),
     "broken": Method(_broken),
     "absent": Method(_absent),
 }

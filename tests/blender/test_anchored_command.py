@@ -14,13 +14,14 @@ bpy = pytest.importorskip("bpy")
 from rig_scenes import posed_in_blender
 
 from gskin_addon import cli
-from gskin_addon.commands import rig as rig_command
-from gskin_addon.core.job.contract import Result, read_job, read_weights
+from gskin_addon.core.job.contract import read_job, read_result, write_result
 from gskin_addon.core.job.mesh_files import read_mesh
+from gskin_addon.core.rig.weights_file import read_weights_file
 from gskin_addon.core.splats.ply import read_ply, write_ply
 from gskin_addon.scene.anchored import proxy_of
 from gskin_addon.scene.posing import posed_cloud
 from gskin_addon.scene.splat_object import is_splat_object
+from gskin_addon.session import skin_job
 from tests.helpers.limb import make_limb
 
 
@@ -45,15 +46,23 @@ def files(tmp_path, monkeypatch):
     yup = np.stack([verts[:, 0], verts[:, 2], -verts[:, 1]], axis=1)
     trimesh.Trimesh(yup, faces, process=False).export(tmp_path / "body.glb")
 
-    def work(python, folder, printer):
-        job = read_job(folder)
-        points, _ = read_mesh(folder / job.settings["mesh"])
-        weights = np.exp(-6 * np.square(points[:, :1] - [0.5, 1.5, 2.5])).astype(np.float32)
-        weights /= weights.sum(axis=1, keepdims=True)
-        rig = job.skeleton
-        return Result(limb.weights, rig.names, rig.heads, rig.tails, rig.parents, {}, {}, mesh_weights=weights)
+    class Worker:
+        """Writes the answer at once, without a process."""
 
-    monkeypatch.setattr(rig_command, "_work", work)
+        def __init__(self, python, folder, **_):
+            self.folder = folder
+
+        def start(self):
+            job = read_job(self.folder)
+            points, _ = read_mesh(self.folder / job.settings["mesh"])
+            weights = np.exp(-6 * np.square(points[:, :1] - [0.5, 1.5, 2.5])).astype(np.float32)
+            weights /= weights.sum(axis=1, keepdims=True)
+            write_result(job, limb.weights, {}, {}, weights)
+
+        def wait(self, show):
+            return read_result(self.folder)
+
+    monkeypatch.setattr(skin_job, "WorkerClient", Worker)
     return tmp_path
 
 
@@ -66,7 +75,7 @@ def rig(files, out, *options):
 
 def test_rigged_splats_hang_on_the_mesh_and_pose_like_the_core(files):
     assert rig(files, "out.blend", "--weights", str(files / "w.npz")) == 0
-    assert read_weights(files / "w.npz").mesh_weights.shape == (37 * 12, 3)
+    assert read_weights_file(files / "w.npz").mesh_weights.shape == (37 * 12, 3)
     turn = ["--rotate", "bone1", "0", "0", "60"]
     assert cli.main(["pose", str(files / "out.blend"), "--out", str(files / "posed.ply"), *turn]) == 0
     obj = next(obj for obj in bpy.data.objects if is_splat_object(obj))

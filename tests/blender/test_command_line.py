@@ -9,7 +9,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 import venv
 
 import bpy
@@ -18,16 +17,18 @@ import pretend
 import pytest
 import worker_jobs as jobs
 from needs import WORKER, missing, only_with
+from patience import HANG, interruptible
 from pictures import read_picture
 
 from gskin_addon import cli
-from gskin_addon.commands import rig as rig_command
-from gskin_addon.core.job.contract import read_weights
+from gskin_addon.core.errors import InputError
 from gskin_addon.core.rig.quaternion import axis_angle_to_matrix
+from gskin_addon.core.rig.weights_file import read_weights_file
 from gskin_addon.core.splats.ply import read_ply, write_ply
 from gskin_addon.core.worker.client import WorkerClient
 from gskin_addon.scene.bone_frames import armature_of
 from gskin_addon.scene.splat_object import is_splat_object
+from gskin_addon.session import skin_job
 
 
 def add_armature(name: str, bones=pretend.CHAIN, deform: bool = True):
@@ -79,7 +80,7 @@ def files(tmp_path_factory):
 def pretended(monkeypatch):
     """Jobs that give every splat to the first bone, at once."""
     monkeypatch.setenv("GSKIN_PYTHON", sys.executable)
-    monkeypatch.setattr(rig_command, "WorkerClient", functools.partial(WorkerClient, program=jobs.FAKE))
+    monkeypatch.setattr(skin_job, "WorkerClient", functools.partial(WorkerClient, program=jobs.FAKE))
     return monkeypatch
 
 
@@ -98,10 +99,10 @@ def rigged(files, tmp_path_factory):
         with pytest.MonkeyPatch.context() as patch:
             patch.setenv("GSKIN_PYTHON", sys.executable)
             patch.setenv("GSKIN_TEST_ACT", "heights")
-            patch.setattr(rig_command, "WorkerClient", functools.partial(WorkerClient, program=jobs.FAKE))
+            patch.setattr(skin_job, "WorkerClient", functools.partial(WorkerClient, program=jobs.FAKE))
             assert run(*command[3:]) == 0
         return out, weights, None
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=240)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
     assert done.returncode == 0, done.stderr
     return out, weights, done
 
@@ -121,7 +122,7 @@ def test_rig_end_to_end(rigged, files):
     assert fractions == sorted(fractions)
     assert lines[-1].startswith("300 splats follow 2 bones")
 
-    found = read_weights(weights)
+    found = read_weights_file(weights)
     assert found.bones == ("lower", "upper")
     np.testing.assert_allclose(found.heads, [[0, 0, 0], [0, 0, 1]], atol=1e-6)
     np.testing.assert_allclose(found.weights.sum(axis=1), 1, atol=1e-5)
@@ -142,7 +143,7 @@ def test_rig_end_to_end(rigged, files):
 def test_armatures_of_every_kind(name, files, pretended, tmp_path):
     out = tmp_path / "out.glb"
     assert run("rig", files / "rod.ply", "--armature", files / name, "--out", out, "--weights", tmp_path / "w.npz") == 0
-    found = read_weights(tmp_path / "w.npz")
+    found = read_weights_file(tmp_path / "w.npz")
     assert found.bones == ("lower", "upper")
     np.testing.assert_allclose(found.heads, [[0, 0, 0], [0, 0, 1]], atol=1e-4)
     np.testing.assert_allclose(found.tails[0], [0, 0, 1], atol=1e-4)
@@ -197,6 +198,26 @@ def test_the_input_is_never_overwritten(files, pretended, capsys):
     assert (files / "rig.blend").read_bytes() == before
 
 
+@only_with(*WORKER)
+@pytest.mark.parametrize("agreed", [False, True])
+def test_the_consent_to_download_goes_to_the_worker_alone(files, tmp_path, monkeypatch, agreed):
+    heard = []
+
+    class Client:
+        def __init__(self, python, folder, *, allow_download, **_):
+            heard.append((allow_download, "allow_download" in (folder / "job.json").read_text()))
+
+        def start(self):
+            raise InputError("No worker is started here.")
+
+    monkeypatch.setenv("GSKIN_PYTHON", sys.executable)
+    monkeypatch.setattr(skin_job, "WorkerClient", Client)
+    words = ["rig", files / "rod.ply", "--armature", files / "rig.blend", "--out", tmp_path / "out.blend"]
+    words += ["--guidance", "flux_repair", "--guidance-option", "model=owner/name"]
+    assert run(*words, *(["--allow-download"] if agreed else [])) == 2
+    assert heard == [(agreed, False)]
+
+
 def test_failing_jobs_exit_1_and_leave_nothing(files, pretended, tmp_path, capsys):
     pretended.setenv("GSKIN_TEST_ACT", "raise")
     arguments = ["rig", files / "rod.ply", "--armature", files / "rig.blend", "--out", tmp_path / "out.blend"]
@@ -220,24 +241,16 @@ def test_a_worker_without_torch_exits_2(files, monkeypatch, tmp_path, capsys):
 @only_with(*WORKER)
 @pytest.mark.skipif(os.name != "posix", reason="signals")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_interrupting_exits_130_soon_and_leaves_nothing(number, files, tmp_path):
+def test_interrupting_exits_130_and_leaves_nothing(number, files, tmp_path):
     out, job = tmp_path / "out.blend", tmp_path / "job"
     command = [sys.executable, "-m", "gskin_addon.cli", "rig", str(files / "rod.ply"), "--preset", "paper"]
     command += ["--armature", str(files / "rig.blend"), "--out", str(out), "--job-dir", str(job)]
-    process = subprocess.Popen(
-        command,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # ignored where tests run with `&`
-    )
+    process = interruptible(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
     process.stderr.readline()  # the worker runs
-    began = time.monotonic()
     process.send_signal(number)
-    text = process.communicate(timeout=20)[1]
+    text = process.communicate(timeout=HANG)[1]
     assert process.returncode == 130
-    assert time.monotonic() - began < 5
     assert text.splitlines()[-1].startswith("Cancelled")
     assert not out.exists()
     assert not (job / "weights.npz").exists()
@@ -250,7 +263,7 @@ def test_pose_turns_splats_about_the_bones_head(rigged, tmp_path):
     before, after = jobs.rod(300)[0], read_ply(posed).cloud
     turn = axis_angle_to_matrix(np.array([1.0, 0, 0]), np.array(np.pi / 2))
     turned = (before.means - [0, 0, 1]) @ turn.T + [0, 0, 1]
-    share = read_weights(weights).weights[:, 1:]
+    share = read_weights_file(weights).weights[:, 1:]
     np.testing.assert_allclose(after.means, share * turned + (1 - share) * before.means, atol=1e-4)
 
 

@@ -12,13 +12,23 @@ bpy = pytest.importorskip("bpy")
 
 from pictures import read_picture
 
+import gskin_addon
 from gskin_addon.core.rig.colors import heat_colors, weight_colors
 from gskin_addon.core.rig.lbs import sparsify
 from gskin_addon.core.rig.quaternion import quat_to_matrix
 from gskin_addon.core.splats.cloud import SH_C0, SplatCloud
 from gskin_addon.scene import names
 from gskin_addon.scene.attributes import read_attribute, read_positions
-from gskin_addon.scene.node_groups import VIEWPORT_SIGMAS, add_display, get_display, set_display
+from gskin_addon.scene.node_builder import get_input, set_input
+from gskin_addon.scene.node_groups import (
+    OCTAHEDRA,
+    VIEWPORT_SIGMAS,
+    add_display,
+    find_display,
+    get_display,
+    set_display,
+)
+from gskin_addon.scene.octahedra import ensure_octahedra, octahedra_count
 from gskin_addon.scene.render import prepare_scene, render_still
 from gskin_addon.scene.splat_object import create_splat_object
 from gskin_addon.scene.weights import write_weights
@@ -118,6 +128,63 @@ def test_colours_by_confidence():
     np.testing.assert_allclose(shown, linear(heat_colors(1 - confidence)), atol=1e-4)
     write_weights(obj, armature, weights)
     assert names.CONFIDENCE not in obj.data.attributes
+
+
+def test_borrowed_faces_are_those_made_anew():
+    """The kept octahedra give the very mesh that instancing gives, settings and all."""
+    obj = create_splat_object(clouds.random_cloud(500, 0), "S")
+    set_display(obj, "Viewport Limit", 300)
+    set_display(obj, "Size", 1.5)
+    modifier = find_display(obj)
+    helper = get_input(modifier, OCTAHEDRA)
+
+    def shown():
+        mesh = drawn(obj)
+        corners = np.empty(len(mesh.loops), np.int32)
+        mesh.loops.foreach_get("vertex_index", corners)
+        return read_positions(mesh), read_attribute(mesh, names.COLOR), corners
+
+    assert octahedra_count(helper) * CORNERS == len(shown()[0])
+    borrowed = shown()
+    set_input(modifier, OCTAHEDRA, None)
+    for one, other in zip(borrowed, shown(), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-5)
+    set_input(modifier, OCTAHEDRA, ensure_octahedra(octahedra_count(helper) + 1))
+    for one, other in zip(borrowed, shown(), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-5)
+
+
+def test_settings_of_the_panel_bring_other_octahedra():
+    gskin_addon.register()
+    try:
+        cloud = clouds.random_cloud(400, 0)
+        obj = create_splat_object(cloud, "S")
+        modifier = find_display(obj)
+        set_input(modifier, "Minimum Opacity", 0.6)  # as the panel does, without `set_display`
+        bpy.context.view_layer.update()
+        seen = int((cloud.opacities >= np.float32(0.6)).sum())
+        assert octahedra_count(get_input(modifier, OCTAHEDRA)) == seen
+        assert len(drawn(obj).vertices) == CORNERS * seen
+        set_input(modifier, "Minimum Opacity", 2.0)
+        bpy.context.view_layer.update()
+        assert len(drawn(obj).vertices) == 0
+    finally:
+        gskin_addon.unregister()
+
+
+def test_a_frame_with_the_display_costs_at_most_three_times_the_rig():
+    rng = np.random.default_rng(6)
+    cloud = clouds.random_cloud(40_000, 0)
+    cloud.opacities[:] = 0.9
+    obj, armature = create_splat_object(cloud, "S"), rigs.make_chains(20, rng)
+    write_weights(obj, armature, rigs.random_weights(cloud, 20, rng))
+    rigs.random_pose(armature, rng)
+    modifier, costs = find_display(obj), []
+    for shown in (False, True):
+        modifier.show_viewport = shown
+        bpy.context.view_layer.update()
+        costs.append(rigs.pose_change_cost(armature, "bone.003"))
+    assert costs[1] < 3 * costs[0]
 
 
 def test_one_group_and_one_modifier_however_often():

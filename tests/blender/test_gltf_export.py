@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import splat_clouds as clouds
-from glb import Glb
+from glb import Glb, decode_attributes
 
 bpy = pytest.importorskip("bpy")
 
@@ -23,7 +23,7 @@ from gskin_addon.core.errors import GSkinError, InputError
 from gskin_addon.core.rig.lbs import top_influences
 from gskin_addon.core.rig.quaternion import matrix_to_quat, quat_multiply, quat_to_matrix
 from gskin_addon.core.splats.axes import rotate_cloud, up_rotation
-from gskin_addon.core.splats.gltf import decode_attributes, fallback_color
+from gskin_addon.core.splats.gltf import fallback_color
 from gskin_addon.scene import gltf_export
 from gskin_addon.scene.attributes import read_attribute, read_positions
 from gskin_addon.scene.gltf_export import SplatExport, export_glb

@@ -87,11 +87,12 @@ def test_defaults_of_the_panel_are_the_providers_own(scene):
 def test_consent_counts_only_with_online_access(scene, online):
     scene.gskin.guidance = "flux_repair"
     online(True)
-    assert "allow_download" not in options(scene)
+    assert not scene.gskin.models.may_download()
     scene.gskin.models.allow_download = True
-    assert options(scene)["allow_download"] is True
+    assert scene.gskin.models.may_download()
+    assert "allow_download" not in options(scene)  # what becomes job.json
     online(False)
-    assert "allow_download" not in options(scene)
+    assert not scene.gskin.models.may_download()
 
 
 def test_consent_comes_with_no_file_and_ends_with_the_add_on(scene, tmp_path):

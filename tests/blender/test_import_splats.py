@@ -11,8 +11,8 @@ import splat_clouds as clouds
 bpy = pytest.importorskip("bpy")
 
 import gskin_addon
-from gskin_addon.core.job.contract import write_weights as write_weights_file
 from gskin_addon.core.rig.lbs import sparsify
+from gskin_addon.core.rig.weights_file import write_weights_file
 from gskin_addon.core.splats.ply import write_ply
 from gskin_addon.scene.armature import read_skeleton
 from gskin_addon.scene.attributes import read_attribute

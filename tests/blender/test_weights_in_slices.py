@@ -332,9 +332,9 @@ def test_an_undo_in_the_middle_leaves_nothing_half_written(rig):
     bpy.ops.ed.undo()
     with pytest.raises(InputError, match=r"undo|deleted"):
         run_to_end(steps)
-    assert [o.name for o in bpy.data.objects if "Octahedron" not in o.name] == ["Rig", "S"]
+    assert [o.name for o in bpy.data.objects if "Octahed" not in o.name] == ["Rig", "S"]
     assert not bpy.data.objects["S"].vertex_groups
-    assert [m.name for m in bpy.data.meshes if "Octahedron" not in m.name] == ["S"]
+    assert [m.name for m in bpy.data.meshes if "Octahed" not in m.name] == ["S"]
 
 
 def test_reading_stops_where_groups_change_meanwhile(rig, monkeypatch):

@@ -196,10 +196,9 @@ def test_guidance_options_have_the_types_that_the_guidance_wants(tmp_path, monke
     arguments = [word for pair in given for word in ("--guidance-option", pair)]
     wanted = {"model": str(tmp_path / "7"), "steps": 4, "strength": 0.5, "prompt": "true colours"}
     assert guidance_of("--guidance", "flux_repair", *arguments) == wanted
-    assert guidance_of("--guidance", "flux_repair", "--guidance-option", "model=a/b", "--allow-download") == {
-        "model": "a/b",
-        "allow_download": True,
-    }
+    # Consent is no option: it goes with the process, see tests/core/guidance/test_consent.py.
+    agreed = ("--guidance", "flux_repair", "--guidance-option", "model=a/b", "--allow-download")
+    assert guidance_of(*agreed) == {"model": "a/b"}
     assert guidance_of("--guidance", "oracle", "--guidance-option", "a=1") == {"a": 1}
     for arguments, words in (
         (("--guidance", "flux_repair", "--guidance-option", "steps=many"), "whole number"),
@@ -207,6 +206,7 @@ def test_guidance_options_have_the_types_that_the_guidance_wants(tmp_path, monke
         (("--guidance", "flux_repair"), "No FLUX.2 .* is named"),
         (("--guidance", "flux_repair", "--guidance-option", "model=8"), "'8', does not exist"),
         (("--guidance", "elastic", "--allow-download"), "fetches nothing"),
+        (("--guidance", "flux_repair", "--guidance-option", "allow_download=true"), "agree when you start"),
     ):
         with pytest.raises(InputError, match=words):
             guidance_of(*arguments)

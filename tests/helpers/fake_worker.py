@@ -43,14 +43,16 @@ def act(cloud: Any, skeleton: Any, settings: dict[str, Any], progress: Any, chec
         os.kill(os.getpid(), signal.SIGSEGV)
     if what == "vanish":
         os._exit(3)
-    if what == "resume":  # ten steps; each is kept, and only new ones are counted
+    if what == "resume":  # ten steps, kept one by one; the first run stays at the fifth until it is stopped or let go
         kept = checkpoint / "step"
         first = int(kept.read_text()) if kept.exists() else 0
         for step in range(first, 10):
-            progress("step", step / 10, {}, str(step))
-            time.sleep(0.05)
             kept.with_suffix(".tmp").write_text(str(step + 1))
             os.replace(kept.with_suffix(".tmp"), kept)
+            progress("step", step / 10, {}, str(step))
+            while first == 0 and step == 4 and not (checkpoint / "go_on").exists():
+                time.sleep(0.01)
+                progress("step", step / 10, {}, str(step))
         settings = {"first": first}
     weights = np.zeros((cloud.count, skeleton.count), np.float32)
     weights[:, 0] = 1.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A small glTF reader in plain numpy: accessors, node transforms, one animation, skinning."""
+"""A small glTF reader in plain numpy: accessors, node transforms, one animation, skinning, splats."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from gskin_addon.core.splats.cloud import SplatCloud
+from gskin_addon.core.splats.gltf import EXTENSION_NAME, sh_attribute
 
 _TYPES = {5120: np.int8, 5121: np.uint8, 5122: np.int16, 5123: np.uint16, 5125: np.uint32, 5126: np.float32}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
@@ -79,6 +82,18 @@ class Glb:
     def joint_matrices(self, node: int, time: float | None = None) -> np.ndarray:
         """(joints, 4, 4): global transform of each joint times its inverse bind matrix."""
         return self.world(time)[self.joints(node)] @ self.inverse_bind(node)
+
+
+def decode_attributes(positions: np.ndarray, attributes: dict[str, np.ndarray]) -> SplatCloud:
+    """The cloud of the attributes that `encode_attributes` makes."""
+    count = sum(name.startswith(f"{EXTENSION_NAME}:SH_DEGREE_") for name in attributes)
+    return SplatCloud(
+        means=positions,
+        quats=np.roll(attributes[f"{EXTENSION_NAME}:ROTATION"], 1, axis=1),
+        scales=attributes[f"{EXTENSION_NAME}:SCALE"],
+        opacities=attributes[f"{EXTENSION_NAME}:OPACITY"],
+        sh=np.stack([attributes[sh_attribute(index)] for index in range(count)], axis=1),
+    )
 
 
 def _sample(times: np.ndarray, values: np.ndarray, time: float) -> np.ndarray:

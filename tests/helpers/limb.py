@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from proxy_meshes import tube
 
 from gskin_addon.core.rig.skeleton import Skeleton
 from gskin_addon.core.splats.cloud import SplatCloud
@@ -25,13 +26,7 @@ def make_limb(count: int = 1500, bones: int = 3, seed: int = 0) -> Limb:
 
     True weights: rigid in the middle of each bone, a linear blend over the 0.3 around each joint.
     """
-    rings, sides = 12 * bones + 1, 16
-    x, angle = np.linspace(0, bones, rings), np.linspace(0, 2 * np.pi, sides, endpoint=False)
-    xx, aa = np.meshgrid(x, angle, indexing="ij")
-    verts = np.stack([xx, 0.12 * np.cos(aa), 0.12 * np.sin(aa)], axis=-1).reshape(-1, 3)
-    i, j = np.meshgrid(np.arange(rings - 1), np.arange(sides), indexing="ij")
-    a, b = (i * sides + j).ravel(), (i * sides + (j + 1) % sides).ravel()
-    faces = np.concatenate([np.stack([a, a + sides, b], 1), np.stack([b, a + sides, b + sides], 1)])
+    verts, faces = tube(bones, 12 * bones + 1, 16)
     corner = verts[faces]
     rgb = 0.5 + 0.4 * np.stack(
         [np.sin(9 * corner[..., 0]), np.cos(7 * corner[..., 0]), np.sign(corner[..., 1])], axis=-1

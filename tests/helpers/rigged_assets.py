@@ -7,17 +7,12 @@ import json
 from pathlib import Path
 
 import numpy as np
+from proxy_meshes import tube
 
 
 def write_tube(path: Path, bones: int = 3, hue: float = 0.0, **changed) -> Path:
     """A tube along x, one unit per bone, weights blended over the joints; one control bone without weights."""
-    rings, sides = 8 * bones + 1, 10
-    x, angle = np.linspace(0, bones, rings), np.linspace(0, 2 * np.pi, sides, endpoint=False)
-    xx, aa = np.meshgrid(x, angle, indexing="ij")
-    verts = np.stack([xx, 0.15 * np.cos(aa), 0.15 * np.sin(aa)], axis=-1).reshape(-1, 3)
-    i, j = np.meshgrid(np.arange(rings - 1), np.arange(sides), indexing="ij")
-    a, b = (i * sides + j).ravel(), (i * sides + (j + 1) % sides).ravel()
-    faces = np.concatenate([np.stack([a, a + sides, b], 1), np.stack([b, a + sides, b + sides], 1)])
+    verts, faces = tube(bones, 8 * bones + 1, 10, 0.15)
     wave = 0.5 + 0.4 * np.sin(5 * verts[faces][..., 0] + hue)
     heads = np.array([[-1, 0, 0], *[[k, 0, 0] for k in range(bones)]], np.float32)
     near = np.exp(-8 * np.maximum(np.abs(verts[:, 0, None] - (heads[1:, 0] + 0.5)) - 0.4, 0))

@@ -13,10 +13,11 @@ from needs import WORKER, missing
 
 bpy = pytest.importorskip("bpy")
 
-from gskin_addon.core.job.contract import read_weights, write_job
+from gskin_addon.core.job.contract import write_job
 from gskin_addon.core.rig.kinematics import pose_transforms
 from gskin_addon.core.rig.lbs import skin_points
 from gskin_addon.core.rig.poses import random_axes, random_poses
+from gskin_addon.core.rig.weights_file import read_weights_file
 from gskin_addon.core.splats.ply import write_ply
 from tests.helpers.limb import make_limb
 
@@ -64,7 +65,7 @@ def test_the_worker_does_a_default_job(tmp_path):
         [sys.executable, str(program), str(job)], stdin=subprocess.PIPE, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr
-    assert_moves_as_the_truth(read_weights(job / "weights.npz").weights, limb)
+    assert_moves_as_the_truth(read_weights_file(job / "weights.npz").weights, limb)
 
 
 @pytest.mark.usefixtures("_worker_asks_for_no_more")
@@ -89,7 +90,7 @@ def test_rig_and_pose_from_the_command_line(tmp_path, monkeypatch):
     gskin(tmp_path, "rig", "limb.ply", "--armature", "rig.blend", "--out", "out.blend", "--weights", "w.npz")
     gskin(tmp_path, "pose", "out.blend", "--out", "posed.glb", "--rotate", "bone1", "40", "0", "0")
     assert (tmp_path / "posed.glb").read_bytes().startswith(b"glTF")
-    assert_moves_as_the_truth(read_weights(tmp_path / "w.npz").weights, limb)
+    assert_moves_as_the_truth(read_weights_file(tmp_path / "w.npz").weights, limb)
 
 
 def gskin(folder: Path, *arguments: str) -> None:

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from importlib import import_module
 
-from .base import Made, Method, Subject, Unavailable
+from .base import Method, MethodInput, MethodResult, Unavailable
 
-__all__ = ["DESCRIPTIONS", "METHODS", "Made", "Method", "Subject", "Unavailable", "create_method"]
+__all__ = ["DESCRIPTIONS", "METHODS", "Method", "MethodInput", "MethodResult", "Unavailable", "create_method"]
 
 METHODS = {
     "initial": "initial",

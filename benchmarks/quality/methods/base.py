@@ -27,7 +27,7 @@ class Unavailable(Exception):
 
 
 @dataclass(frozen=True)
-class Subject:
+class MethodInput:
     """One asset as a method sees it: its splats and `skeleton`, which may be a disturbed copy of the asset's own.
 
     `asset` is for methods that know more than a user of splats does (the true mesh, the true weights);
@@ -62,7 +62,7 @@ class Subject:
 
 
 @dataclass(frozen=True)
-class Made:
+class MethodResult:
     """weights (N, B); note: what a reader of the tables must know; partly: some splats got none by the method
     itself and follow their nearest bone."""
 
@@ -75,7 +75,7 @@ class Made:
 class Method:
     """A way to make weights, in at most `limit` core-seconds."""
 
-    make: Callable[[Subject], Made]
+    make: Callable[[MethodInput], MethodResult]
     limit: float = 300.0
 
 

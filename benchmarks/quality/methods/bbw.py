@@ -20,7 +20,7 @@ from gskin_addon.core.rig.segments import bone_segments, segment_distance
 from gskin_addon.core.rig.skeleton import Skeleton
 from gskin_addon.core.skinning.voxels import voxelize
 
-from .base import Made, Method, Subject, complete
+from .base import Method, MethodInput, MethodResult, complete
 
 Array = NDArray[Any]
 
@@ -146,7 +146,7 @@ def create(name: str) -> Method:
     return Method(make, LIMIT)
 
 
-def make(subject: Subject) -> Made:
+def make(subject: MethodInput) -> MethodResult:
     """Weights of the lattice at the splats."""
     cloud, skeleton = subject.cloud, subject.skeleton
     for resolution in RESOLUTIONS:
@@ -163,4 +163,4 @@ def make(subject: Subject) -> Made:
         notes.append(f"{idle} of {skeleton.count} bones too close to others for the lattice")
     if bare:
         notes.append(f"no weights: {bare} of {cloud.count} splats in parts without bones follow their nearest bone")
-    return Made(weights, "; ".join(notes), bare > 0)
+    return MethodResult(weights, "; ".join(notes), bare > 0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .base import Made, Method, Subject, complete
+from .base import Method, MethodInput, MethodResult, complete
 from .heat import bone_heat, weld
 
 
@@ -14,7 +14,7 @@ def create(name: str) -> Method:
     return Method(make)
 
 
-def make(subject: Subject) -> Made:
+def make(subject: MethodInput) -> MethodResult:
     """Weights of the welded mesh, at the splats' triangles and barycentric coordinates."""
     surface = subject.surface
     verts, faces, new = weld(surface.verts, surface.faces)
@@ -22,4 +22,4 @@ def make(subject: Subject) -> Made:
     weights, bare = complete(found, verts, subject.skeleton)
     note = f"{warning or 'no weights'}: {bare} of {len(verts)} vertices follow their nearest bone" if bare else ""
     corners = weights[new[surface.faces[surface.face]]]
-    return Made(np.einsum("nk,nkb->nb", surface.bary, corners), note, bare > 0)
+    return MethodResult(np.einsum("nk,nkb->nb", surface.bary, corners), note, bare > 0)

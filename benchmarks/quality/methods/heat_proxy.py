@@ -16,7 +16,7 @@ from gskin_addon.core.rig.nearest import nearest_triangles
 from gskin_addon.core.skinning.voxels import voxelize
 from gskin_addon.core.splats.cloud import SplatCloud
 
-from .base import Made, Method, Subject, complete
+from .base import Method, MethodInput, MethodResult, complete
 from .heat import bone_heat
 
 RESOLUTION = 80
@@ -43,11 +43,11 @@ def proxy_mesh(cloud: SplatCloud, resolution: int = RESOLUTION) -> tuple[NDArray
     return verts, faces if volume > 0 else faces[:, ::-1]  # the heat looks at normals: outwards
 
 
-def make(subject: Subject) -> Made:
+def make(subject: MethodInput) -> MethodResult:
     """Weights of the proxy at the foot points of the splats."""
     verts, faces = proxy_mesh(subject.cloud)
     found, warning = bone_heat(verts, faces, subject.skeleton)
     weights, bare = complete(found, verts, subject.skeleton)
     face, bary = nearest_triangles(subject.cloud.means, verts[faces])
     note = f"{warning or 'no weights'}: {bare} of {len(verts)} vertices follow their nearest bone" if bare else ""
-    return Made(np.einsum("nk,nkb->nb", bary, weights[faces[face]]), note, bare > 0)
+    return MethodResult(np.einsum("nk,nkb->nb", bary, weights[faces[face]]), note, bare > 0)

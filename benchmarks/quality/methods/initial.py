@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from gskin_addon.core.skinning.initial import initial_weights
 
-from .base import Made, Method, Subject
+from .base import Method, MethodInput, MethodResult
 
 NAMES = {"initial": "visibility", "geodesic": "geodesic", "heat_splats": "heat"}
 
@@ -13,8 +13,8 @@ NAMES = {"initial": "visibility", "geodesic": "geodesic", "heat_splats": "heat"}
 def create(name: str) -> Method:
     """`initial` is the paper's formula, `geodesic` the one through the body, `heat_splats` bone heat."""
 
-    def make(subject: Subject) -> Made:
+    def make(subject: MethodInput) -> MethodResult:
         cloud, skeleton = subject.cloud, subject.skeleton
-        return Made(initial_weights(NAMES[name], cloud, skeleton, subject.masks, subject.cameras))
+        return MethodResult(initial_weights(NAMES[name], cloud, skeleton, subject.masks, subject.cameras))
 
     return Method(make)

@@ -14,7 +14,7 @@ from gskin_addon.core.job.settings import JobSettings
 from gskin_addon.core.skinning.initial import INITIAL_WEIGHTS
 from gskin_addon.core.skinning.presets import PRESETS
 
-from .base import Made, Method, Subject, Unavailable
+from .base import Method, MethodInput, MethodResult, Unavailable
 from .learned import unseen_model
 
 LIMIT = 1800.0
@@ -48,7 +48,7 @@ def create(name: str) -> Method:
     settings = job_settings(name)
     learned = settings.get("init", JobSettings().init) == "learned"
 
-    def make(subject: Subject) -> Made:
+    def make(subject: MethodInput) -> MethodResult:
         from gskin_addon.core.pipeline.run import run
 
         chosen, note = dict(settings), ""
@@ -65,6 +65,6 @@ def create(name: str) -> Method:
             checkpoint = Path(folder) / "checkpoint"
             checkpoint.mkdir()
             outcome = run(subject.cloud, subject.skeleton, chosen, lambda *_: None, checkpoint)
-        return Made(outcome.weights, note)
+        return MethodResult(outcome.weights, note)
 
     return Method(make, LIMIT)

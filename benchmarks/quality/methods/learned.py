@@ -10,7 +10,7 @@ from benchmarks.quality.catalog import family_of
 from gskin_addon.core.skinning.initial import initial_weights
 from gskin_addon.core.skinning.learned.model_file import SHIPPED, models_without, read_card
 
-from .base import Made, Method, Subject, Unavailable
+from .base import Method, MethodInput, MethodResult, Unavailable
 
 FOLDS = Path(os.environ.get("GSKIN_PRIOR_FOLDS", "out/prior-folds"))
 """Folder of models (`gskin train-prior`), each of which names the families that it has not seen."""
@@ -32,12 +32,12 @@ def unseen_model(asset: str) -> Path:
 def create(name: str) -> Method:
     """The method."""
 
-    def make(subject: Subject) -> Made:
+    def make(subject: MethodInput) -> MethodResult:
         model = unseen_model(subject.asset.name)
         options = {"model": str(model)}
         weights = initial_weights(
             "learned", subject.cloud, subject.skeleton, subject.masks, subject.cameras, options
         )
-        return Made(weights, f"model {model.stem}")
+        return MethodResult(weights, f"model {model.stem}")
 
     return Method(make)

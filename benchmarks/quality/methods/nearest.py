@@ -3,13 +3,13 @@
 
 from __future__ import annotations
 
-from .base import Made, Method, Subject, rigid_weights
+from .base import Method, MethodInput, MethodResult, rigid_weights
 
 
 def create(name: str) -> Method:
     """The method."""
 
-    def make(subject: Subject) -> Made:
-        return Made(rigid_weights(subject.cloud.means, subject.skeleton))
+    def make(subject: MethodInput) -> MethodResult:
+        return MethodResult(rigid_weights(subject.cloud.means, subject.skeleton))
 
     return Method(make)

@@ -19,9 +19,9 @@ MOVED_PIXELS = 1.0
 
 @dataclass(frozen=True)
 class ControlSignal:
-    """What a guidance image shall show.
+    """What a guidance image must show.
 
-    view: index of the camera; camera: itself; transforms (B, 4, 4): the pose; handles and targets (K, 2):
+    view: index of the camera; camera: the camera; transforms (B, 4, 4): the pose; handles and targets (K, 2):
     the control points, pixel positions (x, y) of the displaced joints in rest and in the pose.
     """
 

@@ -2,8 +2,8 @@
 """The run of every diffusion provider: renders and masks in, composited images out, resumable image by image.
 
 A provider gives a `Painter`; this loop gives it frames of one view at a time, keeps what is outside the dynamic
-mask, saves each finished image in the job's checkpoint folder, and asks after every denoising step whether the
-person wants to stop.
+mask, saves each finished image in the job's checkpoint folder, and checks after every denoising step whether the user
+wants to stop.
 """
 
 from __future__ import annotations
@@ -143,9 +143,12 @@ class DiffusionGuidance:
         from PIL import Image
 
         try:
-            with Image.open(path) as picture:
+            # PNG only: for some formats Pillow starts other programs.
+            with Image.open(path, formats=["PNG"]) as picture:
+                if picture.size[::-1] != signal.camera.size:
+                    return None
                 image = np.array(picture.convert("RGB"))
-        except (OSError, SyntaxError):  # what PIL says of a damaged PNG
+        except (OSError, SyntaxError, ValueError, Image.DecompressionBombError):  # what PIL says of a damaged PNG
             return None
         return image if image.shape[:2] == signal.camera.size else None
 
@@ -235,7 +238,7 @@ def choose_offload(offload: str, device: torch.device, resident: float, largest:
 
 
 def _digest(identity: Mapping[str, Any], context: GuidanceContext) -> bytes:
-    """All that an image depends on but its own signal."""
+    """Everything that an image depends on, except its own signal."""
     digest = hashlib.blake2b(digest_size=16)
     known = {"seed": context.seed, "background": list(context.background), **identity}
     digest.update(json.dumps(known, sort_keys=True).encode())

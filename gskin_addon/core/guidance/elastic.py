@@ -20,8 +20,13 @@ from ..render.rasterizer import render_cloud
 from ..rig.lbs import skin_points
 from ..rig.quaternion import matrix_to_quat, normalize, quat_multiply
 from ..rig.segments import bone_segments
-from ..skinning.heat import CLOSEST, FACING_STRENGTH, BoneHeat, diagonal
-from ..skinning.normal_weighted_distance import agreed, facing_distances, outward, surface_normals
+from ..skinning.heat import CLOSEST, NORMAL_WEIGHTED_STRENGTH, BoneHeat, diagonal
+from ..skinning.normal_weighted_distance import (
+    consistent_normals,
+    normal_weighted_distances,
+    outward_normals,
+    surface_normals,
+)
 from ..skinning.rotations import closest_rotation
 from ..skinning.voxels import voxelize
 from ..splats.cloud import SplatCloud
@@ -32,7 +37,7 @@ ITERATIONS = 3
 
 
 class ElasticBody:
-    """The splats as an elastic body that hangs on its bones.
+    """The splats as an elastic body that is held by its bones.
 
     Minimises over the nodes' positions x'
         sum_edges |(x'_i - x'_j) - R_i (x_i - x_j)|^2 + sum_i h_i |x'_i - P_b(i) x_i|^2,
@@ -41,7 +46,17 @@ class ElasticBody:
 
     def __init__(self, cloud: SplatCloud, heat: BoneHeat) -> None:
         """cloud: N splats; heat: on the same."""
+        from scipy import sparse
+        from scipy.sparse.linalg import splu
+
         self.cloud, self._heat = cloud, heat
+        a, b = heat.graph.edges.T
+        count = len(heat.rest)
+        one_way = sparse.coo_matrix((np.ones(len(a)), (a, b)), shape=(count, count))
+        self._adjacency = (one_way + one_way.T).tocsr()
+        degree = np.asarray(self._adjacency.sum(axis=1)).ravel()
+        # Many poses are solved with one matrix: factorising it pays, unlike for the heat.
+        self._solver = splu((sparse.diags(degree + heat.handle_strength) - self._adjacency).tocsc())
 
     def pose(self, transforms: NDArray[Any]) -> Iterator[SplatCloud]:
         """The cloud in each pose of transforms (P, B, 4, 4)."""
@@ -51,13 +66,13 @@ class ElasticBody:
         posed = skin_points(rest, heat.equilibrium, transforms)
         rotations = np.empty((*posed.shape[:2], 3, 3))
         pull = np.empty_like(posed)
-        graph = heat.adjacency
+        graph = self._adjacency
         for _ in range(ITERATIONS):
             _local_rotations(rest, posed, graph.indptr, graph.indices, rotations)
             _turned_edges(rest, rotations, graph.indptr, graph.indices, pull)
             pull += heat.handle_strength[:, None] * goal
             flat = pull.transpose(1, 0, 2).reshape(len(rest), -1)
-            solved = heat.solver.solve(flat).reshape(len(rest), len(transforms), 3)
+            solved = self._solver.solve(flat).reshape(len(rest), len(transforms), 3)
             posed = np.ascontiguousarray(solved.transpose(1, 0, 2))
         _local_rotations(rest, posed, graph.indptr, graph.indices, rotations)
         for position, rotation in zip(posed, rotations, strict=True):
@@ -116,7 +131,12 @@ class ElasticGuidance:
     BATCH = 8
 
     def __init__(self, context: GuidanceContext) -> None:
-        heat = BoneHeat(context.cloud, context.distances, reach=_felt(context), strength=FACING_STRENGTH)
+        heat = BoneHeat(
+            context.cloud,
+            context.distances,
+            handle_distances=_handle_distances(context),
+            strength=NORMAL_WEIGHTED_STRENGTH,
+        )
         self.body = ElasticBody(context.cloud, heat)
         self._background = context.background
 
@@ -129,15 +149,16 @@ class ElasticGuidance:
                 yield to_bytes(render_cloud(cloud, signal.camera, self._background)[0])
 
 
-def _felt(context: GuidanceContext) -> NDArray[Any]:
-    """Distances (N, B) as the handles feel them: bones behind a splat hold it, those before it hardly do."""
+def _handle_distances(context: GuidanceContext) -> NDArray[Any]:
+    """Distances (N, B) for the handles: bones behind a splat's surface hold it, those in front of it hardly do."""
     cloud, segments = context.cloud, bone_segments(context.skeleton)
     grid = voxelize(cloud.means, cloud.opacities, scales=cloud.scales, quats=cloud.quats)
     points = cloud.means.astype(np.float64)
     size = diagonal(cloud)
     distances = np.asarray(context.distances)
-    out = agreed(points, outward(points, surface_normals(points), grid), distances.min(axis=1), size)
-    return facing_distances(points, out, segments, distances[:, segments.bone], CLOSEST * size)
+    out = outward_normals(points, surface_normals(points), grid)
+    out = consistent_normals(points, out, distances.min(axis=1), size)
+    return normal_weighted_distances(points, out, segments, distances[:, segments.bone], CLOSEST * size)
 
 
 def create(context: GuidanceContext) -> ElasticGuidance:

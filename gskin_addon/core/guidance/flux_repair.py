@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from . import consent
 from .diffusion import (
     DiffusionGuidance,
     Frame,
@@ -61,7 +62,7 @@ _PIPELINES = ("Flux2KleinPipeline", "Flux2KleinInpaintPipeline")
 DISTILLED_STEPS, STEPS = 4, 50
 RESIDENT, LARGEST = 13.0, 10.0
 """GiB of a GPU for the 4B transformer (7.8) and VAE with their work at 512 pixels, and for the transformer alone.
-The text encoder (8.1) comes and goes before them."""
+The text encoder (8.1) is loaded and freed before them."""
 PER_FRAME = 2.0
 
 
@@ -206,7 +207,7 @@ def create(context: GuidanceContext) -> DiffusionGuidance:
     folder = find_model(
         options.model,
         FILES,
-        allow_download=options.allow_download,
+        allow_download=consent.is_given(),
         tell=lambda message: context.tick(0.0, message),
     )
     check_index(folder)

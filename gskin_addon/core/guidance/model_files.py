@@ -14,12 +14,14 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import GSkinError, InputError
+from ..errors import GSkinError, InputError, first_line
 
 if TYPE_CHECKING:
     from torch import Tensor
 
 _HUB_ID = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+(@[\w./-]+)?")
+
+_SAFE_TORCH = (2, 6)
 
 CONSENT = "allow the download (the add-on's tick, or --allow-download)"
 
@@ -156,7 +158,10 @@ def load_tensors(path: Path, what: str) -> dict[str, Any]:
 
             tensors = load_file(path)
         else:
+            check_pickle_reader(what, path)
             tensors = torch.load(path, map_location="cpu", weights_only=True)
+    except InputError:
+        raise
     except FileNotFoundError:
         raise InputError(f"The {what} '{path}' does not exist; put it there.") from None
     except Exception as error:  # pickle, zip, safetensors and torch each have their own
@@ -168,6 +173,19 @@ def load_tensors(path: Path, what: str) -> dict[str, Any]:
     return tensors
 
 
+def check_pickle_reader(what: str, path: Path) -> None:
+    """Raise InputError where this torch cannot be trusted with a pickle: before 2.6 its restricted reader could be
+    made to run code (CVE-2025-32434). `what` and `path`: the file to be read."""
+    import torch
+
+    version = tuple(int(part) for part in torch.__version__.split("+")[0].split(".")[:2])
+    if version < _SAFE_TORCH:
+        raise InputError(
+            f"The {what} '{path}' is a pickle, which torch {torch.__version__} does not read safely; "
+            "install torch 2.6 or later into the worker's Python, or get the file as .safetensors."
+        )
+
+
 def stamp(folder: Path, patterns: Sequence[str] = ("*",)) -> list[list[Any]]:
     """Names, sizes and times of the files of a model, which tell whether it was exchanged."""
     found = sorted(path for path in folder.rglob("*") if path.is_file())
@@ -177,8 +195,3 @@ def stamp(folder: Path, patterns: Sequence[str] = ("*",)) -> list[list[Any]]:
         for name, status in chosen
         if any(fnmatch(name, pattern) for pattern in patterns)
     ]
-
-
-def first_line(error: BaseException) -> str:
-    """The first line of an error's text, without its full stop, to stand inside a sentence."""
-    return str(error).strip().split("\n")[0].rstrip(".") or type(error).__name__

@@ -16,6 +16,8 @@ from typing import Any, Self
 from ..errors import InputError
 from .model_files import is_hub_id
 
+NOT_AN_OPTION = "allow_download"
+"""gskin 0.1.0 wrote the person's consent among the options; see `consent.py`."""
 OFFLOADS = ("auto", "none", "model", "sequential")
 DTYPES = ("auto", "float32", "float16", "bfloat16")
 
@@ -42,15 +44,13 @@ def place() -> Any:
 
 @dataclass(frozen=True)
 class DiffusionOptions:
-    """What every diffusion provider can be told.
+    """Settings that all diffusion providers have.
 
-    allow_download: the person agreed to fetch what is missing from the hub; device: "auto" or a torch device;
-    dtype: of the weights, "auto" for the device's best; offload: "none" keeps all weights on the device, "model"
-    one model at a time, "sequential" one layer at a time; batch: images at once, 0 for what fits the memory;
-    steps: denoising steps, 0 for the model's own.
+    device: "auto" or a torch device; dtype: of the weights, "auto" for the device's best; offload: "none" keeps all
+    weights on the device, "model" one model at a time, "sequential" one layer at a time; batch: images at once, 0 for
+    what fits the memory; steps: denoising steps, 0 for the model's own.
     """
 
-    allow_download: bool = unseen(False)
     device: str = unseen("auto")
     dtype: str = one_of("auto", DTYPES)
     offload: str = unseen("auto", choices=OFFLOADS)
@@ -64,6 +64,11 @@ class DiffusionOptions:
         Raises:
             InputError: an unknown name, a wrong type, or a value that is not allowed.
         """
+        if NOT_AN_OPTION in values:
+            raise InputError(
+                f"'{NOT_AN_OPTION}' is no option of '{guidance}': nobody's files agree to a download; remove it there, "
+                "and agree when you start (the add-on's tick, or --allow-download)."
+            )
         known = {f.name: f for f in dataclasses.fields(cls)}
         unknown = sorted(set(values) - set(known))
         if unknown:
@@ -88,7 +93,7 @@ class FluxOptions(DiffusionOptions):
     """Settings of `flux_repair`.
 
     model: folder of a FLUX.2 [klein] pipeline in the diffusers layout, or a hub id, `owner/name` or
-    `owner/name@revision`; prompt: what the repair is told, with "{subject}" for `subject`; strength: how much of
+    `owner/name@revision`; prompt: of the repair, with "{subject}" for `subject`; strength: how much of
     the noise schedule is run, 1 forgets the posed render's pixels inside the mask; guidance_scale: of the prompt,
     only for undistilled models.
     """
@@ -162,7 +167,7 @@ def check_options(guidance: str, values: Mapping[str, Any]) -> None:
 
 
 def deciding(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """A job's settings without those that do not change its result: consent, device, batches."""
+    """A job's settings without those that do not change its result: device, batches."""
     options, kind = settings.get("options"), PROVIDER_OPTIONS.get(str(settings.get("guidance")))
     if kind is None or not isinstance(options, Mapping):
         return dict(settings)
@@ -198,7 +203,7 @@ def check_models(guidance: str, values: Mapping[str, Any]) -> None:
 
 def _checked(f: dataclasses.Field[Any], value: Any, guidance: str) -> Any:
     kind = type(f.default)
-    if kind is float and type(value) is int:
+    if kind is float and type(value) is int and abs(value) < 2**63:
         value = float(value)
     if type(value) is not kind:
         words = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}

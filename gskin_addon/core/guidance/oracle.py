@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Perfect guidance from known weights, to test and to measure everything after the guidance."""
+"""Perfect guidance from known weights, to test and measure everything after the guidance."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..files import read_arrays
 from ..render.rasterizer import render_cloud
 from ..rig.lbs import skin_cloud
 from .control import ControlSignal
@@ -38,9 +40,8 @@ def create(context: GuidanceContext) -> Oracle:
     if not path:
         raise InputError("The oracle guidance needs known weights; name their file in 'oracle_weights'.")
     try:
-        with np.load(str(path), allow_pickle=False) as file:
-            weights = file["weights"].astype(np.float32)
-    except (OSError, KeyError, ValueError) as error:
+        weights = read_arrays(Path(str(path)), ["weights"])["weights"].astype(np.float32)
+    except (OSError, TypeError, ValueError) as error:
         raise InputError(f"'{path}' does not hold an array 'weights' ({error}); write it as .npz.") from None
     if context.index is not None and len(weights) > int(context.index.max()):
         weights = weights[context.index]

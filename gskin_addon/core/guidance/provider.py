@@ -17,7 +17,7 @@ from .control import ControlSignal
 
 
 def never_stop(done: float, message: str) -> None:
-    """A `tick` that nobody listens to."""
+    """A `tick` that does nothing."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class GuidanceContext:
     cloud, skeleton: in the same space; initial (N, B): the weights that learning starts from;
     distances (N, B): from splats to bones through the body; index (N,): which of the job's splats these are,
     all of them in their order when left out; options: the provider's own settings; seed: of all its randomness;
-    checkpoint: a folder where it may keep what it has made, none when left out; tick: to be called every now and
-    then with the done part (0 to 1) of all images and a few words, raises Cancelled when the person stops the job.
+    checkpoint: a folder where it may keep what it has made, none by default; tick: called now and then with the
+    finished part (0 to 1) of all images and a short message; raises Cancelled when the user stops the job.
     """
 
     cloud: SplatCloud

@@ -16,6 +16,9 @@ from ..splats.cloud import SplatCloud
 MAX_SPLATS = 5_000_000
 """Beyond this the optimisation needs more memory than a workstation can be expected to have."""
 
+SOUND, APART = 0.7, 0.1
+"""Shares of the bones within the splats: from the first on all is well, below the second a job is refused."""
+
 _BONE_SAMPLES = 5
 
 
@@ -56,7 +59,8 @@ def check_inputs(
     if not np.any(upper > lower):
         raise InputError(f"{splats} has all its splats at one point; choose another object or file.")
     skeleton.validate(armature)
-    _check_overlap(cloud, skeleton, splats, armature, up)
+    points = cloud.means[:: max(1, cloud.count // 100_000)].astype(np.float64)
+    check_overlap(points, skeleton, splats, armature, up)
 
 
 def overlap(points: NDArray[Any], skeleton: Skeleton) -> float:
@@ -72,30 +76,40 @@ def overlap(points: NDArray[Any], skeleton: Skeleton) -> float:
     return float(inside.mean())
 
 
-def _check_overlap(cloud: SplatCloud, skeleton: Skeleton, splats: str, armature: str, up: str) -> None:
-    points = cloud.means[:: max(1, cloud.count // 100_000)].astype(np.float64)
+def better_axis(points: NDArray[Any], skeleton: Skeleton, up: str) -> tuple[float, str, float]:
+    """Share of the bones within `points` (N, 3), and where another up axis fits far better its name and share.
+
+    up: the axis the splat file was read with. The name is "" where the present axis is as good as the others.
+    """
     here = overlap(points, skeleton)
     # Sound rigs may have a third of their bones outside (props, tails, control bones), so the share alone
     # convicts only when it is nearly nothing; a wrong axis shows as another axis fitting far better.
-    if here >= 0.7:
-        return
+    if here >= SOUND:
+        return here, "", here
     elsewhere = {
         other: overlap(points @ (up_rotation(other) @ up_rotation(up).T).T, skeleton)
         for other in UP_AXES
         if other != up
     }
     best = max(elsewhere, key=lambda name: elsewhere[name])
-    if elsewhere[best] >= here + 0.3:
+    return (here, best, elsewhere[best]) if elsewhere[best] >= here + 0.3 else (here, "", here)
+
+
+def check_overlap(points: NDArray[Any], skeleton: Skeleton, splats: str, armature: str, up: str) -> None:
+    """Raise InputError, as `check_inputs` does, where the bones lie outside `points` (N, 3), splats in the world."""
+    here, best, there = better_axis(points, skeleton, up)
+    if best:
         raise InputError(
             f"{armature} does not overlap {_inner(splats)}: only {here:.0%} of its bones lie within them; "
-            f"with {best.upper()} up it would be {elsewhere[best]:.0%}, "
-            f"so import the splats with Up set to {best.upper()} (--ply-up={best})."
+            f"with {best.upper()} up it would be {there:.0%}, "
+            f"so import the splats with Up set to {best.upper()}.",
+            shell=f"--ply-up={best}",
         )
-    if here < 0.1:
+    if here < APART:
         raise InputError(
             f"{armature} does not overlap {_inner(splats)}: only {here:.0%} of its bones lie within them; "
-            "move or scale the armature onto the splats, or import the splats with another Up axis "
-            "(--ply-up=z, y or -y)."
+            "move or scale the armature onto the splats, or import the splats with another Up axis.",
+            shell="--ply-up=z, y or -y",
         )
 
 

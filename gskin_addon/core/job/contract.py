@@ -21,7 +21,6 @@ import hashlib
 import json
 import re
 import shutil
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,9 +30,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..files import disk_error, write_arrays, write_json, write_png, write_text
+from ..files import disk_error, is_plain_name, read_arrays, write_arrays, write_json, write_png, write_text
 from ..guidance.options import deciding
 from ..rig.skeleton import Skeleton
+from ..rig.weights_file import read_weights_file, write_weights_file
 from ..splats.cloud import SplatCloud
 from .checks import check_inputs
 
@@ -43,7 +43,6 @@ WEIGHTS, REPORT, PREVIEWS = "weights.npz", "report.json", "previews"
 CHECKPOINT, LOCK = "checkpoint", "worker.lock"
 
 _CLOUD_ARRAYS = ("means", "quats", "scales", "opacities", "sh")
-_RIG_ARRAYS = ("bones", "heads", "tails", "parents")
 
 
 @dataclass(frozen=True)
@@ -84,6 +83,74 @@ class Result:
     confidence: NDArray[np.float32] | None = None
 
 
+@dataclass(frozen=True)
+class PreparedJob:
+    """A job that was checked and may be written: see `prepare_job`.
+
+    fingerprint: 32 hexadecimal digits that are the same for the same job, a name for its folder.
+    """
+
+    cloud: SplatCloud
+    skeleton: Skeleton
+    settings: dict[str, Any]
+    fingerprint: str
+    files: Mapping[str, Mapping[str, NDArray[Any]]]
+
+    def write(self, folder: str | Path) -> Path:
+        """Make `folder` (created where missing) this job and return it.
+
+        The very same job written again keeps its checkpoint and result, so that a stopped one goes on; another
+        job in the same folder starts clean.
+
+        Raises:
+            GSkinError: the folder cannot be written.
+        """
+        folder = Path(folder)
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            if _fingerprint_in(folder) != self.fingerprint:
+                clear_results(folder)
+                (folder / JOB).unlink(missing_ok=True)
+        except OSError as error:
+            raise disk_error(error, folder) from error
+        for name, arrays in self.files.items():
+            write_arrays(folder / name, arrays)
+        write_arrays(folder / SPLATS, _cloud_arrays(self.cloud))
+        write_text(folder / SKELETON, self.skeleton.to_json() + "\n")
+        write_json(
+            folder / JOB, {"version": VERSION, "settings": self.settings, "fingerprint": self.fingerprint}
+        )
+        return folder
+
+
+def prepare_job(
+    cloud: SplatCloud,
+    skeleton: Skeleton,
+    settings: Mapping[str, Any],
+    *,
+    files: Mapping[str, Mapping[str, NDArray[Any]]] | None = None,
+    splats: str = "The splats",
+    armature: str = "The armature",
+    up: str = "z",
+) -> PreparedJob:
+    """Check a job once, and find out what it is called, before anything is written.
+
+    files: further .npz files of the job by plain name, which its settings speak of (see `mesh_file`); their names must
+    tell their contents apart, since the fingerprint knows the names only. `splats`, `armature` and `up` word the
+    messages (see `check_inputs`).
+
+    Raises:
+        InputError: the splats or bones cannot be skinned; settings that JSON cannot hold.
+    """
+    check_inputs(cloud, skeleton, splats=splats, armature=armature, up=up)
+    files = dict(files or {})
+    own = (JOB, SPLATS, SKELETON, WEIGHTS, REPORT, PREVIEWS, CHECKPOINT, LOCK)
+    for name in files:
+        if not is_plain_name(name) or name in own:
+            raise ValueError(f"'{name}' is no name for a further file of a job")
+    return PreparedJob(cloud, skeleton, dict(settings), fingerprint(cloud, skeleton, settings), files)
+
+
 def write_job(
     folder: str | Path,
     cloud: SplatCloud,
@@ -94,29 +161,11 @@ def write_job(
     armature: str = "The armature",
     up: str = "z",
 ) -> Path:
-    """Make `folder` (created where missing) a job and return it.
+    """`prepare_job` and `PreparedJob.write` in one, for those who have a folder.
 
-    The very same job written again keeps its checkpoint and result, so that a stopped one goes on; another
-    job in the same folder starts clean. `splats`, `armature` and `up` word the messages (see `check_inputs`).
-
-    Raises:
-        InputError: the splats or bones cannot be skinned; settings that JSON cannot hold.
-        GSkinError: the folder cannot be written.
+    Raises: as these.
     """
-    check_inputs(cloud, skeleton, splats=splats, armature=armature, up=up)
-    folder = Path(folder)
-    identity = fingerprint(cloud, skeleton, settings)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if _fingerprint_in(folder) != identity:
-            clear_results(folder)
-            (folder / JOB).unlink(missing_ok=True)
-    except OSError as error:
-        raise disk_error(error, folder) from error
-    write_arrays(folder / SPLATS, _cloud_arrays(cloud))
-    write_text(folder / SKELETON, skeleton.to_json() + "\n")
-    write_json(folder / JOB, {"version": VERSION, "settings": dict(settings), "fingerprint": identity})
-    return folder
+    return prepare_job(cloud, skeleton, settings, splats=splats, armature=armature, up=up).write(folder)
 
 
 def fingerprint(cloud: SplatCloud, skeleton: Skeleton, settings: Mapping[str, Any]) -> str:
@@ -126,9 +175,9 @@ def fingerprint(cloud: SplatCloud, skeleton: Skeleton, settings: Mapping[str, An
         InputError: settings that JSON cannot hold.
     """
     try:
-        json.dumps(dict(settings), allow_nan=False)
+        json.dumps(dict(settings), allow_nan=False, ensure_ascii=False).encode()
         canonical = json.dumps(deciding(settings), sort_keys=True, allow_nan=False)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, RecursionError) as error:
         raise InputError(f"The job's settings must be plain numbers, words and lists ({error}).") from None
     digest = hashlib.blake2b(digest_size=16)
     digest.update(f"{VERSION}\n{canonical}\n{skeleton.to_json()}\n".encode())
@@ -147,9 +196,10 @@ def read_job(folder: str | Path) -> Job:
     folder = Path(folder)
     head = _read_json(folder / JOB)
     version = head.get("version")
-    if version != VERSION:
+    if type(version) is not int or version != VERSION:
+        named = f"version {version}" if isinstance(version, int) else "no version that is a number"
         raise InputError(
-            f"'{folder / JOB}' has version {version!r}, this gskin reads version {VERSION}; "
+            f"'{folder / JOB}' has {named}, this gskin reads version {VERSION}; "
             "write the job with the same gskin that runs it."
         )
     settings = head.get("settings", {})
@@ -167,71 +217,8 @@ def read_job(folder: str | Path) -> Job:
     skeleton_file = folder / SKELETON
     skeleton = Skeleton.from_json(_read_text(skeleton_file), label=f"'{skeleton_file}'")
     check_inputs(cloud, skeleton, splats=f"'{folder / SPLATS}'", armature=f"'{skeleton_file}'")
-    return Job(folder, settings, cloud, skeleton, str(head.get("fingerprint", "")))
-
-
-def write_weights(
-    path: str | Path,
-    weights: NDArray[Any],
-    skeleton: Skeleton,
-    mesh_weights: NDArray[Any] | None = None,
-    confidence: NDArray[Any] | None = None,
-) -> None:
-    """Write weights.npz: `weights` (N, B), `mesh_weights` (V, B), `confidence` (N,), with the bones they belong to.
-
-    Raises:
-        ValueError: not (N, B), not finite, negative, or rows that do not sum to 1 (1e-3); confidence not (N,) in 0..1.
-        GSkinError: the file cannot be written.
-    """
-    arrays = {"weights": weights} if mesh_weights is None else {"weights": weights, "mesh_weights": mesh_weights}
-    for values in arrays.values():
-        fault = _fault_in(values, skeleton.count)
-        if fault:
-            raise ValueError(fault)
-    if confidence is not None:
-        fault = _fault_in_confidence(confidence, len(weights))
-        if fault:
-            raise ValueError(fault)
-        arrays["confidence"] = confidence
-    write_arrays(
-        Path(path),
-        {
-            **{name: np.ascontiguousarray(values, dtype=np.float32) for name, values in arrays.items()},
-            "bones": np.array(skeleton.names, dtype=np.str_),
-            "heads": np.asarray(skeleton.heads, dtype=np.float64),
-            "tails": np.asarray(skeleton.tails, dtype=np.float64),
-            "parents": np.asarray(skeleton.parents, dtype=np.int64),
-        },
-    )
-
-
-def read_weights(path: str | Path) -> Result:
-    """Read a weights.npz on its own; report and previews are empty.
-
-    Raises:
-        InputError: missing, damaged, or weights that are not (N, B) rows summing to 1.
-    """
-    path = Path(path)
-    arrays = _read_arrays(path, ("weights", *_RIG_ARRAYS), ("mesh_weights", "confidence"))
-    on_mesh, confidence = arrays.get("mesh_weights"), arrays.get("confidence")
-    for values in (arrays["weights"], on_mesh):
-        fault = "" if values is None else _fault_in(values, len(arrays["bones"]))
-        if fault:
-            raise InputError(f"'{path}' does not hold skinning weights ({fault}); make it again with gskin.")
-    fault = "" if confidence is None else _fault_in_confidence(confidence, len(arrays["weights"]))
-    if fault:
-        raise InputError(f"'{path}' has a damaged confidence ({fault}); make it again with gskin.")
-    return Result(
-        weights=arrays["weights"].astype(np.float32, copy=False),
-        bones=tuple(str(name) for name in arrays["bones"]),
-        heads=arrays["heads"].astype(np.float64),
-        tails=arrays["tails"].astype(np.float64),
-        parents=arrays["parents"].astype(np.int64),
-        report={},
-        previews={},
-        mesh_weights=None if on_mesh is None else on_mesh.astype(np.float32, copy=False),
-        confidence=None if confidence is None else confidence.astype(np.float32, copy=False),
-    )
+    found = head.get("fingerprint")
+    return Job(folder, settings, cloud, skeleton, found if isinstance(found, str) else "")
 
 
 def write_result(
@@ -245,7 +232,7 @@ def write_result(
     """Write a job's answer: weights, pictures by name ((H, W, 3) in 0..1), and the report last of all."""
     if len(weights) != job.cloud.count:
         raise ValueError(f"{len(weights)} rows of weights for {job.cloud.count} splats")
-    write_weights(job.folder / WEIGHTS, weights, job.skeleton, mesh_weights, confidence)
+    write_weights_file(job.folder / WEIGHTS, weights, job.skeleton, mesh_weights, confidence)
     pictures = job.folder / PREVIEWS
     try:
         pictures.mkdir(exist_ok=True)
@@ -265,19 +252,9 @@ def read_result(folder: str | Path) -> Result:
     folder = Path(folder)
     if not is_finished(folder):
         raise InputError(f"The job in '{folder}' is not finished; run it (again) and wait for its end.")
-    weights = read_weights(folder / WEIGHTS)
+    weights = read_weights_file(folder / WEIGHTS)
     previews = {path.stem: path for path in sorted((folder / PREVIEWS).glob("*.png"))}
-    return Result(
-        weights.weights,
-        weights.bones,
-        weights.heads,
-        weights.tails,
-        weights.parents,
-        report=_read_json(folder / REPORT),
-        previews=previews,
-        mesh_weights=weights.mesh_weights,
-        confidence=weights.confidence,
-    )
+    return Result(**vars(weights), report=_read_json(folder / REPORT), previews=previews)
 
 
 def is_finished(folder: str | Path) -> bool:
@@ -303,27 +280,9 @@ def _cloud_arrays(cloud: SplatCloud) -> dict[str, NDArray[Any]]:
 def _fingerprint_in(folder: Path) -> str | None:
     try:
         found = json.loads((folder / JOB).read_text(encoding="utf-8")).get("fingerprint")
-    except (OSError, ValueError, AttributeError):
+    except (OSError, ValueError, AttributeError, RecursionError):
         return None
     return found if isinstance(found, str) else None
-
-
-def _fault_in(weights: NDArray[Any], bones: int) -> str:
-    if weights.ndim != 2 or weights.shape[1] != bones or weights.dtype.kind != "f":
-        return f"an array {weights.shape} of {weights.dtype} for {bones} bones"
-    if not np.isfinite(weights).all():
-        return "values that are not finite numbers"
-    if (weights < 0).any():
-        return "negative weights"
-    if len(weights) and float(np.abs(weights.sum(axis=1, dtype=np.float64) - 1.0).max()) > 1e-3:
-        return "rows that do not sum to 1"
-    return ""
-
-
-def _fault_in_confidence(confidence: NDArray[Any], count: int) -> str:
-    if confidence.shape != (count,) or confidence.dtype.kind != "f":
-        return f"an array {confidence.shape} of {confidence.dtype} for {count} splats"
-    return "" if ((confidence >= 0) & (confidence <= 1)).all() else "values outside 0..1"
 
 
 def _read_text(path: Path) -> str:
@@ -343,28 +302,27 @@ def _read_text(path: Path) -> str:
 
 def _read_json(path: Path) -> dict[str, Any]:
     try:
-        value = json.loads(_read_text(path))
-    except ValueError as error:
+        value = json.loads(_read_text(path), parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as error:
         raise InputError(f"'{path}' is not valid JSON ({error}); write the job again.") from None
     if not isinstance(value, dict):
         raise InputError(f"'{path}' does not hold a table of names and values; write the job again.")
     return value
 
 
-def _read_arrays(
-    path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()
-) -> dict[str, NDArray[Any]]:
+def _refuse_constant(name: str) -> None:
+    """Python's reader takes NaN and Infinity, which are no JSON."""
+    raise ValueError(f"{name} is no number")
+
+
+def _read_arrays(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any]]:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            missing = [name for name in names if name not in file.files]
-            if missing:
-                raise InputError(f"'{path}' lacks the array {', '.join(missing)}; write it again.")
-            return {name: file[name] for name in (*names, *optional) if name in file.files}
+        return read_arrays(path, names)
     except FileNotFoundError:
         raise InputError(
             f"'{path}' is missing; '{path.parent}' is not a whole job, write it again."
         ) from None
-    except (OSError, ValueError, EOFError, KeyError, TypeError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError) as error:
         raise InputError(
             f"'{path}' is damaged or not an .npz of numbers ({error}); write it again."
         ) from None

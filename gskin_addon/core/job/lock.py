@@ -30,7 +30,9 @@ def job_lock(path: Path, patience: float = 2.0) -> Iterator[None]:
         InputError: another worker runs the job. GSkinError: the folder cannot be written.
     """
     try:
-        file = open(path, "a+", encoding="utf-8")  # noqa: SIM115  (held across the yield, closed below)
+        # Never through a link: what lies behind it would be emptied.
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        file = open(descriptor, "r+", encoding="utf-8")  # noqa: SIM115  (held across the yield, closed below)
     except OSError as error:
         raise disk_error(error, path) from error
     try:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import hashlib
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..files import write_arrays
+from ..files import read_arrays, write_arrays
 
 Array = NDArray[Any]
 
@@ -79,14 +78,23 @@ class Scope:
         return Scope(present, only, walls)
 
 
-def scope_name(scope: Scope) -> str:
-    """The name of a scope's file in a job's folder, the job's setting `scope`; another scope has another name."""
+def scope_file(scope: Scope) -> tuple[str, dict[str, Array]]:
+    """Name and arrays of a scope's file in a job's folder, for `prepare_job`; the name is the job's setting `scope`.
+
+    Another scope has another name.
+    """
+    arrays = {name: array for name, array in vars(scope).items() if array is not None}
     digest = hashlib.blake2b(digest_size=8)
-    for name, array in _arrays(scope).items():
+    for name, array in arrays.items():
         digest.update(name.encode())
         digest.update(str((array.shape, array.dtype)).encode())
         digest.update(np.ascontiguousarray(array).tobytes())
-    return f"scope-{digest.hexdigest()}.npz"
+    return f"scope-{digest.hexdigest()}.npz", arrays
+
+
+def scope_name(scope: Scope) -> str:
+    """The name of `scope_file`."""
+    return scope_file(scope)[0]
 
 
 def write_scope(folder: Path, scope: Scope) -> str:
@@ -95,8 +103,8 @@ def write_scope(folder: Path, scope: Scope) -> str:
     Raises:
         GSkinError: the folder cannot be written.
     """
-    name = scope_name(scope)
-    write_arrays(folder / name, _arrays(scope))
+    name, arrays = scope_file(scope)
+    write_arrays(folder / name, arrays)
     return name
 
 
@@ -109,12 +117,9 @@ def read_scope(path: Path, splats: int, bones: int) -> Scope:
     if not path.is_file():
         raise InputError(f"'{path}' is missing; '{path.parent}' is not a whole job, write it again.")
     try:
-        with np.load(path, allow_pickle=False) as file:
-            scope = Scope(*(file[name] if name in file.files else None for name in ("present", "only", "walls")))
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        arrays = read_arrays(path, (), ("present", "only", "walls"))
+        if not arrays:
+            raise ValueError("it has none of present, only and walls")
+    except (OSError, ValueError) as error:
         raise InputError(f"'{path}' is damaged or not an .npz of numbers ({error}); write the job again.") from None
-    return scope.checked(splats, bones, f"'{path}'")
-
-
-def _arrays(scope: Scope) -> dict[str, Array]:
-    return {name: array for name, array in vars(scope).items() if array is not None}
+    return Scope(**arrays).checked(splats, bones, f"'{path}'")

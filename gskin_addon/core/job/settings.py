@@ -3,21 +3,24 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from ..errors import InputError
-from ..guidance import DEFAULT_GUIDANCE, GUIDANCE
+from ..files import is_plain_name
+from ..guidance import DEFAULT_GUIDANCE, GUIDANCE, NO_GUIDANCE
 from ..guidance.options import check_options
 from ..render.backends import AUTO, BACKENDS
 from ..skinning.fields import WEIGHT_FIELDS
-from ..skinning.initial import DEFAULT_INITIAL, INITIAL_WEIGHTS, PRESENT
+from ..skinning.fields import check_options as check_field_options
+from ..skinning.initial import DEFAULT_INITIAL, INITIAL_WEIGHTS, PRESENT, needs_masks
 from ..skinning.initial import check_options as check_initial_options
 from ..skinning.losses import LossWeights
-from ..skinning.presets import DEFAULT_PRESET, PRESETS, Preset
-from ..splats.cleanup import Hygiene
+from ..skinning.presets import DEFAULT_PRESET, PRESETS, Preset, preset_by_name
+from ..splats.cleanup import Cleanup
 
 FRONTS = {
     "-y": (0.0, -1.0, 0.0),
@@ -30,6 +33,11 @@ FRONTS = {
 PRESET_FIELD = "preset"
 """Value of `field` for the weight field that the preset names."""
 
+Check = Callable[[str, Any], None]
+
+_LARGEST = 2**63 - 1
+_DEPTH = 8
+
 
 @dataclass(frozen=True)
 class JobSettings:
@@ -38,12 +46,12 @@ class JobSettings:
     preset, guidance, init: names in their registries; max_influences: bones per splat in the result, 0 for
     no limit; seed: of all randomness; front: a key of FRONTS; options: the guidance provider's own;
     init_options: those of the initial weights, {"model": path} for learned ones;
-    field: a name in WEIGHT_FIELDS or PRESET_FIELD; field_options: the weight field's own; mesh: file of a
-    proxy mesh in the same world space, whose vertices get the weights and carry the splats, a path or a name in
-    the job's folder; empty for none; hygiene: what to do about bad splats, see `Hygiene`; losses: factors of the
-    loss, see `LossWeights`; scope: name of a file in the job's folder with present weights, the splats that may
-    change, and walls, see `core/job/scope.py`; empty for none; rasterizer:
-    a name in BACKENDS, or "auto" for the fastest that works here.
+    field: a name in WEIGHT_FIELDS or PRESET_FIELD; field_options: the weight field's own; mesh: name of a
+    file in the job's folder with a proxy mesh in the same world space, whose vertices get the weights and carry the
+    splats (see `mesh_file`), empty for none; hygiene: what to do about bad splats, see `Cleanup`; losses: factors of
+    the loss, see `LossWeights`; scope: name of a file in the job's folder with present weights, the splats that may
+    change, and walls, see `core/job/scope.py`; empty for none; rasterizer: a name in BACKENDS, or "auto" for the
+    fastest that works here.
     """
 
     preset: str = DEFAULT_PRESET
@@ -64,53 +72,136 @@ class JobSettings:
 
     @classmethod
     def parse(cls, values: Mapping[str, Any]) -> JobSettings:
-        """Settings from job.json's table.
+        """Settings from job.json's table, which may hold anything that JSON can.
 
         Raises:
-            InputError: an unknown name or a value that is not allowed.
+            InputError: an unknown name or a value that is not allowed; says which.
         """
+        try:
+            return cls._parse(values)
+        except InputError as error:  # names and values are anybody's: the sentence stays one line
+            raise InputError(_printable(str(error))) from None
+
+    @classmethod
+    def _parse(cls, values: Mapping[str, Any]) -> JobSettings:
         known = {f.name for f in dataclasses.fields(cls)}
-        unknown = sorted(set(values) - known)
+        unknown = sorted(str(name) for name in set(values) - known)
         if unknown:
             raise InputError(
                 f"The job has unknown settings {', '.join(unknown)}; known are {', '.join(sorted(known))}."
             )
+        for name, value in values.items():
+            _check_plain(name, value)
+            CHECKS[name](name, value)
         settings = cls(**values)
-        for name, choices in (
-            ("preset", PRESETS),
-            ("guidance", GUIDANCE),
-            ("init", (*INITIAL_WEIGHTS, PRESENT)),
-            ("front", FRONTS),
-            ("field", (PRESET_FIELD, *WEIGHT_FIELDS)),
-            ("rasterizer", (AUTO, *BACKENDS)),
-        ):
-            value = getattr(settings, name)
-            if value not in choices:
-                raise InputError(f"The job's {name} is '{value}'; choose one of {', '.join(choices)}.")
-        if not isinstance(settings.init_options, Mapping):
-            raise InputError(f"The job's init_options are {settings.init_options!r}; they must be a table.")
-        check_initial_options(settings.init, settings.init_options)
-        if not isinstance(settings.mesh, str):
-            raise InputError(f"The job's mesh is {settings.mesh!r}; it must be the path of a mesh file.")
-        if not isinstance(settings.scope, str):
-            raise InputError(f"The job's scope is {settings.scope!r}; it must be the name of a file in its folder.")
         if settings.init == PRESENT and not settings.scope:
             raise InputError("The job's init is 'present', but it has no scope with present weights; write the scope.")
-        Hygiene.parse(settings.hygiene)
-        check_options(settings.guidance, settings.options)
-        LossWeights.parse(settings.losses)
-        for name in ("max_influences", "seed"):
-            value = getattr(settings, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-                raise InputError(f"The job's {name} is {value!r}; it must be a whole number from 0 up.")
+        with _naming("init_options"):
+            check_initial_options(settings.init, settings.init_options)
+        with _naming("field_options"):
+            check_field_options(settings.field_name(preset_by_name(settings.preset)), settings.field_options)
+        with _naming("hygiene"):
+            Cleanup.parse(settings.hygiene)
+        with _naming("options"):
+            check_options(settings.guidance, settings.options)
+        with _naming("losses"):
+            LossWeights.parse(settings.losses)
         return settings
 
     def field_name(self, preset: Preset) -> str:
         """The weight field to learn with: the one named, else the preset's."""
         return preset.field if self.field == PRESET_FIELD else self.field
 
+    @property
+    def needs_runtime(self) -> bool:
+        """Whether the job renders or learns, for which the worker needs more than numpy."""
+        return self.guidance != NO_GUIDANCE or bool(self.mesh) or needs_masks(self.init)
+
     def as_dict(self) -> dict[str, Any]:
         """The settings as plain values, for the report."""
         return {
             name: dict(value) if isinstance(value, Mapping) else value for name, value in vars(self).items()
         }
+
+
+@contextlib.contextmanager
+def _naming(name: str) -> Iterator[None]:
+    """What is wrong inside the block is wrong with the setting `name`, and says so."""
+    try:
+        yield
+    except InputError as error:
+        told = str(error)
+        raise InputError(told if name in told else f"The job's {name}: {told[:1].lower()}{told[1:]}") from None
+
+
+def _one_of(*groups: Iterable[str]) -> Check:
+    """A word out of `groups`, which are looked at when a job is read."""
+
+    def check(name: str, value: Any) -> None:
+        choices = [choice for group in groups for choice in group]
+        if not isinstance(value, str) or value not in choices:
+            shown = f"'{value}'" if isinstance(value, str) else _shown(value)
+            raise InputError(f"The job's {name} is {shown}; choose one of {', '.join(choices)}.")
+
+    return check
+
+
+def _whole(name: str, value: Any) -> None:
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise InputError(f"The job's {name} is {_shown(value)}; it must be a whole number from 0 up.")
+
+
+def _table(name: str, value: Any) -> None:
+    if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
+        raise InputError(f"The job's {name} are {_shown(value)}; they must be a table of names and values.")
+
+
+def _own_file(name: str, value: Any) -> None:
+    """A file that lies in the job's folder itself, so that a job speaks of nothing else on the disk."""
+    if not isinstance(value, str) or (value and not (is_plain_name(value) and value.endswith(".npz"))):
+        raise InputError(
+            f"The job's {name} is {_shown(value)}; it must be the name of an .npz file in the job's own folder."
+        )
+
+
+CHECKS: dict[str, Check] = {
+    "preset": _one_of(PRESETS),
+    "guidance": _one_of(GUIDANCE),
+    "init": _one_of(INITIAL_WEIGHTS, (PRESENT,)),
+    "max_influences": _whole,
+    "seed": _whole,
+    "front": _one_of(FRONTS),
+    "options": _table,
+    "init_options": _table,
+    "field": _one_of((PRESET_FIELD,), WEIGHT_FIELDS),
+    "field_options": _table,
+    "mesh": _own_file,
+    "hygiene": _table,
+    "losses": _table,
+    "scope": _own_file,
+    "rasterizer": _one_of((AUTO,), BACKENDS),
+}
+"""By the name of a setting, what its value must be on its own; raises InputError."""
+
+
+def _check_plain(name: str, value: Any) -> None:
+    """Raise InputError for numbers that no arithmetic here can take, and for tables in tables without end."""
+    level = [value]
+    for _ in range(_DEPTH):
+        for item in level:
+            if isinstance(item, int | float) and not -_LARGEST <= item <= _LARGEST:
+                raise InputError(f"The job's {name} has a number that is too large or none; correct it.")
+        tables = [item for item in level if isinstance(item, Mapping | list | tuple)]
+        level = [inner for item in tables for inner in (item.values() if isinstance(item, Mapping) else item)]
+        if not level:
+            return
+    raise InputError(f"The job's {name} has lists or tables nested more than {_DEPTH} deep; correct it.")
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else text[:77] + "..."
+
+
+def _printable(text: str) -> str:
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text)

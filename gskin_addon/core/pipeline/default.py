@@ -17,27 +17,24 @@ from .steps import (
     prepare_splats,
     weight_change,
 )
+from .work_kinds import default_kinds
 
 
 def run(job: JobInputs, report: Report) -> SkinResult:
     """Weights of all splats from their initial weights alone. Raises Cancelled where `report` does."""
-    size = job.cloud.count / 50_000
-    eta = Eta(
-        report,
-        {"splats": (1, 0.06 * size), "initial": (1, 2.0 + 0.8 * size), "finish": (1, 0.2 * size)},
-    )
-    eta.tell("initial", "Preparing the splats")
+    eta = Eta(report, default_kinds(job.cloud.count))
+    eta.report("initial", "Preparing the splats")
     splats = prepare_splats(job)
     masks, cameras = None, []
     if needs_masks(job.settings.init):
         cameras = guidance_cameras(job, splats.cloud)
         masks = masks_for(job.settings.init, learning_subset(job, splats, cameras).cloud, cameras)
-    eta.did("splats")
+    eta.record("splats")
     initial, confidence = initial_weights(job, splats, masks, cameras, eta)
-    eta.reach("initial", 1.0)
+    eta.record_up_to("initial", 1.0)
     eta.end_stage("initial")
 
-    eta.tell("finish", "Weights of all splats")
+    eta.report("finish", "Weights of all splats")
     weights = finish_weights(job, splats, initial.copy())
     eta.end_stage("finish")
     change = weight_change(weights, initial)

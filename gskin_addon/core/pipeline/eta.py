@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How much of a run is done and how long the rest takes, from what each kind of work was seen to cost.
+"""How much of a run is done and how long the rest takes, from the measured cost of each kind of work.
 
 The one place that knows the time left: jobs, the training commands and the window all show what it says.
 Standard library only.
@@ -20,11 +20,11 @@ MEMORY = 4.0
 """Seconds (or a ninth of what a kind has taken so far, or ten pieces, where these are longer) after which a measure
 counts for a third: a machine that gets busy shows in the time left."""
 STEADY = 10
-"""Pieces that a kind must have done before it tells how the machine's pace has changed."""
+"""Pieces of a kind that must be done before it shows how the machine's pace has changed."""
 TRIAL_NOISE = 1.35
-"""Three trials alone are off by up to this factor, so only a larger change of pace is believed."""
+"""Three trials alone are off by up to this factor, so only a larger change of pace counts."""
 DRIFT = (0.5, 2.0)
-"""Bounds of how far the pace of one kind is believed of the others."""
+"""Bounds of the change of pace that one kind may imply for the others."""
 
 
 @dataclass
@@ -59,10 +59,10 @@ class WorkKind:
 class Eta:
     """Times pieces of work one after the other and says how long the rest takes.
 
-    Image sizes, guidance and the rest cost very differently, so the time left is no matter of a single rate: each
-    kind has its own cost for a piece, measured where it was met or tried out (`tried`), and guessed elsewhere. Guesses
-    are corrected by how the measured kinds compare with theirs, trials by how much slower or faster the kinds under
-    way have become since they were tried.
+    Image sizes, guidance and the other work cost very differently, so the time left does not follow from a single
+    rate: each kind has its own cost per piece, measured if it was done or tried out (`record_trial`), and estimated
+    otherwise. Estimates are corrected by how the measured kinds compare with their own, trials by how much slower or
+    faster the kinds in progress have become since they were tried.
     """
 
     def __init__(
@@ -71,32 +71,33 @@ class Eta:
         kinds: Mapping[str, tuple[int, float]],
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """report: where the news go; kinds: name -> (pieces, guessed seconds for each), in the order of the run."""
+        """report: called with the progress; kinds: name -> (pieces, guessed seconds for each), in
+        the order of the run."""
         self.stage_seconds: dict[str, float] = {}
         self._kinds = {name: WorkKind(pieces, guess) for name, (pieces, guess) in kinds.items()}
         self._report, self._clock = report, clock
         self._mark = self._stage_mark = clock()
 
-    def tell(self, stage: str, message: str, losses: Mapping[str, float] | None = None) -> None:
-        """Tell how far the run is. May raise Cancelled; the time that telling takes counts for nothing."""
+    def report(self, stage: str, message: str, losses: Mapping[str, float] | None = None) -> None:
+        """Report the progress of the run. May raise Cancelled; the time that the report takes is not counted."""
         before = self._clock()
         self._report(stage, self.fraction(), losses or {}, message, self.seconds_left())
         self._mark += self._clock() - before
 
-    def did(self, kind: str, pieces: float = 1) -> None:
-        """`pieces` of a kind are done, in the time since the last piece of any kind."""
+    def record(self, kind: str, pieces: float = 1) -> None:
+        """`pieces` of a kind were done in the time since the last piece of any kind."""
         self._kinds[kind].measure(self._lap(), pieces)
         self.skip(kind, pieces)
 
-    def reach(self, kind: str, fraction: float) -> None:
-        """A kind is done up to `fraction` (0 to 1) of its pieces, the new ones since the last piece of any kind."""
+    def record_up_to(self, kind: str, fraction: float) -> None:
+        """A kind is done up to `fraction` (0 to 1) of its pieces; the new ones took the time since the last piece."""
         work = self._kinds[kind]
         ahead = min(fraction, 1.0) * work.pieces - work.done
         if ahead > 0:
-            self.did(kind, ahead)
+            self.record(kind, ahead)
 
-    def tried(self, kind: str, pieces: float = 1) -> None:
-        """As `did`, but the work was only to measure and has still to be done."""
+    def record_trial(self, kind: str, pieces: float = 1) -> None:
+        """As `record`, but the work was only to measure and has still to be done."""
         work = self._kinds[kind]
         work.measure(self._lap(), pieces)
         work.trial_cost = work.cost
@@ -107,11 +108,11 @@ class Eta:
         work.done = min(work.done + pieces, work.pieces)
 
     def forget(self) -> None:
-        """Leave out the time since the last piece: it went into something that does not come again."""
+        """Ignore the time since the last piece: it was spent on something that does not recur."""
         self._lap()
 
     def end_stage(self, name: str) -> None:
-        """The wall seconds of a stage of the run go into `stage_seconds`, for the report."""
+        """Add the wall seconds of a stage of the run to `stage_seconds`, for the report."""
         now = self._clock()
         self.stage_seconds[name] = round(now - self._stage_mark, 2)
         self._stage_mark = now
@@ -140,7 +141,7 @@ class Eta:
     def _speed(self) -> float:
         """Measured over guessed seconds: the median of the kinds, as some guidance is a thousand times slower.
 
-        Kinds that were only tried out count where there are no others: iterations vary in ways of their own.
+        Kinds that were only tried out count if there are no others: iterations vary in ways of their own.
         """
         known = [work for work in self._kinds.values() if work.measured and work.guess]
         known = [work for work in known if work.done] or known
@@ -148,7 +149,7 @@ class Eta:
         return median(ratios) if ratios else 1.0
 
     def _drift(self) -> float:
-        """Present over tried seconds of the kinds that were both tried and done: the machine's pace since."""
+        """Current over trial seconds of the kinds that were both tried and done: how the machine's pace has changed."""
         known = [work for work in self._kinds.values() if work.trial_cost and work.done >= STEADY]
         ratios = [work.cost / work.trial_cost for work in known]
         drift = median(ratios) if ratios else 1.0
@@ -166,7 +167,7 @@ class StageEta:
     """Time left of work that says only which fraction of itself is done, such as the training commands."""
 
     WARM_UP = 1.5
-    """Seconds before anything is said: less proves nothing."""
+    """Seconds before an estimate is given: less is too noisy."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -175,9 +176,9 @@ class StageEta:
         self._first = 0.0
 
     def seconds_left(self, fraction: float) -> float | None:
-        """Take in that `fraction` (0 to 1) is done; seconds left, or None as long as nothing was measured.
+        """Record that `fraction` (0 to 1) is done; returns the seconds left, or None while nothing is measured.
 
-        The first fraction is where a resumed run begins; it is not counted as this run's speed.
+        The first fraction is where a resumed run begins; it does not count towards this run's speed.
         """
         now = self._clock()
         if self._eta is None:
@@ -185,7 +186,7 @@ class StageEta:
             self._eta.skip("work", fraction)
             self._begun, self._first = now, fraction
             return None
-        self._eta.reach("work", fraction)
+        self._eta.record_up_to("work", fraction)
         if now - self._begun < self.WARM_UP or fraction - self._first < 1e-3:
             return None
         left = self._eta.seconds_left()

@@ -30,13 +30,13 @@ def run(job: JobInputs, report: Report) -> SkinResult:
     splats = prepare_splats(job)
     cameras = guidance_cameras(job, splats.cloud)
     subset = learning_subset(job, splats, cameras)
-    eta.did("splats")
+    eta.record("splats")
     images, masks = rest_pictures(subset.cloud, cameras)
     poser = stage.try_out_on_splats(subset, splats.skeleton, cameras, images, masks)
     del images
 
     initial, confidence = initial_weights(job, splats, masks, cameras, eta)
-    eta.reach("initial", 1.0)
+    eta.record_up_to("initial", 1.0)
     eta.end_stage("initial")
     nodes = initial[subset.index]
     learned = stage.learn(
@@ -50,14 +50,14 @@ def run(job: JobInputs, report: Report) -> SkinResult:
         movable=None if job.scope.only is None else job.scope.movable(job.cloud.count)[subset.index],
     )
 
-    eta.tell("finish", "Weights of all splats")
-    weights = subset.spread(learned.weights, nodes, initial, learned.query)
+    eta.report("finish", "Weights of all splats")
+    weights = subset.to_all_splats(learned.weights, nodes, initial, learned.query)
     weights = finish_weights(job, splats, weights)
     previews = preview_images(splats.cloud, initial, weights, cameras, learned.signals, learned.targets)
     eta.end_stage("finish")
     change = weight_change(weights, initial)
     if confidence is not None:
-        # Where the images disagree with what was known, neither is sure.
+        # Where the images disagree with what was known, neither is certain.
         confidence = np.clip(confidence * (1 - change), 0, 1).astype(np.float32)
     more = {**stage.report(len(subset.index)), **learned.report}
     return SkinResult(

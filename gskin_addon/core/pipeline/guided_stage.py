@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..guidance import NO_GUIDANCE, create_provider
+from ..guidance import create_provider
 from ..guidance.control import ControlSignal, make_signals
 from ..guidance.provider import GuidanceContext, to_bytes
 from ..render.backends import choose_backend
@@ -21,15 +21,16 @@ from ..skinning.fields import create_field
 from ..skinning.geodesic import body_distances
 from ..skinning.initial import initial_weights
 from ..skinning.losses import LossWeights
-from ..skinning.optimise import Optimiser
+from ..skinning.optimise import LearningOptions, Optimiser
 from ..skinning.posers import Poser, SplatPoser
 from ..skinning.presets import Preset, preset_by_name
 from ..skinning.subset import SplatSubset
 from ..skinning.views import Target
 from .eta import Eta
-from .optimise_loop import guided_kinds, make_guidance, optimise, try_out
+from .optimise_loop import make_guidance, optimise, try_out
 from .proxy import Proxy
 from .steps import JobInputs
+from .work_kinds import rendering_kinds
 
 TRIAL_POSES = 8
 """Poses of each view in a try-out. A view renders what it sees in any of them: with 6 the try-outs of `paper` took
@@ -54,17 +55,13 @@ class Learned:
 
 def work_kinds(job: JobInputs, splats: int) -> dict[str, tuple[int, float]]:
     """The kinds of work of a job on `splats` splats that renders; see `Eta`."""
-    size = splats / 50_000
-    kinds = {"splats": (1, 0.06 * size), "initial": (1, 0.3 + 0.8 * size)}
-    if job.settings.guidance != NO_GUIDANCE:
-        preset = preset_by_name(job.settings.preset)
-        kinds |= guided_kinds(preset, len(PAPER_AZIMUTHS), splats, job.skeleton.count)
-    return kinds | {"finish": (1, 0.8 * size)}
+    chosen = job.settings
+    return rendering_kinds(chosen.guidance, chosen.preset, len(PAPER_AZIMUTHS), splats, job.skeleton.count)
 
 
 @dataclass(frozen=True, eq=False)
 class GuidedStage:
-    """What learning needs besides the splats: settings, losses, and what draws."""
+    """What learning needs besides the splats: settings, losses, rasteriser."""
 
     job: JobInputs
     eta: Eta
@@ -75,17 +72,17 @@ class GuidedStage:
 
     @classmethod
     def open(cls, job: JobInputs, eta: Eta) -> GuidedStage:
-        """Choose what draws. Raises InputError where it is not there."""
+        """Choose the rasteriser. Raises InputError if it cannot be used."""
         preset, losses = preset_by_name(job.settings.preset), LossWeights.parse(job.settings.losses)
         rasterizer, remark = choose_backend(job.settings.rasterizer)
-        eta.tell("initial", remark or "Preparing the splats")
+        eta.report("initial", remark or "Preparing the splats")
         return cls(job, eta, preset, losses, rasterizer, remark)
 
     def try_out_on_splats(
         self, subset: SplatSubset, skeleton: Skeleton, cameras: Sequence[Camera], images: Pictures, masks: Masks
     ) -> Poser:
-        """Find out at the very start what an iteration costs, with the paper's initial weights, which take no time;
-        returns the poser, for `learn`.
+        """Measure the cost of an iteration before anything else, with the paper's initial weights, which are quick to
+        compute; returns the poser, for `learn`.
 
         images, masks (V, H, W): the subset at rest from each of the cameras.
         """
@@ -102,7 +99,7 @@ class GuidedStage:
         images: Pictures,
         masks: Masks,
     ) -> Poser:
-        """As `try_out_on_splats`, with splats that hang on a mesh."""
+        """As `try_out_on_splats`, with splats anchored to a mesh."""
         rough, _ = proxy.initial("visibility", subset.cloud, skeleton, masks, cameras, {})
         poser = proxy.poser(subset, self.losses.arap_neighbours)
         return self._try_out(poser, rough, subset, skeleton, cameras, images)
@@ -125,9 +122,10 @@ class GuidedStage:
         confidence (M,) in the nodes' initial weights, or None; movable (M,): nodes that may change, all if left out.
         """
         chosen, preset, eta = self.job.settings, self.preset, self.eta
-        eta.tell("guidance", "Distances through the body")
-        distances = body_distances(subset.cloud, skeleton)
-        eta.did("distances")
+        eta.report("guidance", "Distances through the body")
+        walls = None if self.job.scope.walls is None else self.job.scope.walls[subset.index]
+        distances = body_distances(subset.cloud, skeleton, walls=walls)
+        eta.record("distances")
         weight_field = create_field(self._field_name(), poser.nodes, nodes, chosen.field_options)
         context = GuidanceContext(
             subset.cloud,
@@ -138,7 +136,7 @@ class GuidedStage:
             options=chosen.options,
             seed=chosen.seed,
             checkpoint=self.job.checkpoint,
-            tick=lambda done, message: eta.tell("guidance", message),
+            tick=lambda done, message: eta.report("guidance", message),
         )
         signals = make_signals(skeleton, list(cameras), preset.poses_per_view, np.random.default_rng(chosen.seed))
         # Poses of their own, from their own seed: the others stay the same whatever is held out.
@@ -149,11 +147,13 @@ class GuidedStage:
             skeleton,
             weight_field,
             poser=poser,
-            losses=self.losses,
-            confidence=confidence,
-            movable=movable,
-            seed=chosen.seed,
-            rasterizer=self.rasterizer,
+            options=LearningOptions(
+                losses=self.losses,
+                confidence=confidence,
+                movable=movable,
+                seed=chosen.seed,
+                rasterizer=self.rasterizer,
+            ),
         )
         targets = make_guidance(create_provider(chosen.guidance, context), [*signals, *unseen], eta)
         eta.end_stage("guidance")
@@ -172,7 +172,7 @@ class GuidedStage:
         return Learned(optimiser.weights(), signals, targets, report, weight_field.query)
 
     def report(self, splats: int) -> dict[str, Any]:
-        """What drew, and how many splats were learned on."""
+        """The rasteriser and the number of splats that were learned on."""
         return {"rasterizer": {"name": self.rasterizer, "remark": self.remark}, "splats_optimised": splats}
 
     def _field_name(self) -> str:
@@ -188,7 +188,7 @@ class GuidedStage:
         images: Pictures,
     ) -> Poser:
         chosen, preset, eta = self.job.settings, self.preset, self.eta
-        eta.tell("prepare", "Trying out an iteration")
+        eta.report("prepare", "Trying out an iteration")
         weight_field = create_field(self._field_name(), poser.nodes, rough, chosen.field_options)
         signals = make_signals(skeleton, list(cameras), TRIAL_POSES, np.random.default_rng(chosen.seed))
         rest = [to_bytes(image) for image in images]
@@ -200,8 +200,7 @@ class GuidedStage:
             at_rest,
             preset,
             poser=poser,
-            losses=self.losses,
-            rasterizer=self.rasterizer,
+            options=LearningOptions(losses=self.losses, rasterizer=self.rasterizer),
         )
         try_out(trial, eta, len(cameras) * preset.poses_per_view)
         eta.end_stage("prepare")

@@ -45,20 +45,22 @@ def run(job: JobInputs, report: Report) -> SkinResult:
     cameras = guidance_cameras(job, splats.cloud)
     subset = learning_subset(job, splats, cameras)
     proxy = Proxy.load(job.folder / job.settings.mesh, job.cloud)
-    eta.did("splats")
+    eta.record("splats")
     images, masks = rest_pictures(subset.cloud, cameras)
     poser = None
     if guided:
         poser = stage.try_out_on_proxy(subset, proxy, splats.skeleton, cameras, images, masks)
     del images
 
-    eta.tell("initial", "Initial weights")
-    nodes, sure = proxy.initial(
+    eta.report("initial", "Initial weights")
+    nodes, nodes_confidence = proxy.initial(
         job.settings.init, subset.cloud, splats.skeleton, masks, cameras, job.settings.init_options
     )
-    initial = proxy.spread(nodes)
-    confidence = None if sure is None else proxy.spread(sure[:, None], normalised=False)[:, 0]
-    eta.reach("initial", 1.0)
+    initial = proxy.to_splats(nodes)
+    confidence = None
+    if nodes_confidence is not None:
+        confidence = proxy.to_splats(nodes_confidence[:, None], normalised=False)[:, 0]
+    eta.record_up_to("initial", 1.0)
     eta.end_stage("initial")
 
     learned = Learned(nodes)
@@ -70,10 +72,10 @@ def run(job: JobInputs, report: Report) -> SkinResult:
             poser,
             nodes=nodes,
             initial=initial[subset.index],
-            confidence=sure,
+            confidence=nodes_confidence,
         )
-    eta.tell("finish", "Weights of all splats")
-    weights = finish_weights(job, splats, proxy.spread(learned.weights))
+    eta.report("finish", "Weights of all splats")
+    weights = finish_weights(job, splats, proxy.to_splats(learned.weights))
     mesh_weights = learned.weights
     if job.settings.max_influences:
         mesh_weights = sparsify(mesh_weights, job.settings.max_influences)
@@ -81,7 +83,7 @@ def run(job: JobInputs, report: Report) -> SkinResult:
     eta.end_stage("finish")
     change = weight_change(weights, initial)
     if confidence is not None and guided:
-        # Where the images disagree with what was known, neither is sure.
+        # Where the images disagree with what was known, neither is certain.
         confidence = confidence * (1 - change)
     if confidence is not None:
         confidence = np.clip(confidence, 0, 1).astype(np.float32)

@@ -3,67 +3,36 @@
 
 from __future__ import annotations
 
+import copy
 import math
-import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
+from ..checkpoint import load_checkpoint, save_checkpoint
+from ..errors import InputError, first_line
+from ..files import remove_leftovers
 from ..guidance.control import ControlSignal
-from ..skinning.optimise import PRUNE_FROM, Optimiser, look_schedule
+from ..skinning.optimise import Optimiser
 from ..skinning.presets import Preset
 from ..skinning.views import Target
 from .eta import Eta
+from .work_kinds import checks_of, learning_kind, visibility_kind
 
-CHECKS = 10
-"""Looks at the held-out poses in a run."""
 TRIALS = 3
-"""Iterations that are timed before anything is learned, at each size: one alone may be a fifth off."""
+"""Iterations timed at each size before anything is learned: a single one may be off by a fifth."""
+STATE, OLD_STATE = "optimiser.safetensors", "optimiser.pt"
 CHECKPOINT_SECONDS = 5.0
-# The weight volume's state has 450 MB: writing it may take this part of the time.
+# The weight volume's state has 450 MB: writing it may take up to this share of the time.
 CHECKPOINT_SHARE = 0.1
 
 
-def guided_kinds(preset: Preset, views: int, splats: int, bones: int) -> dict[str, tuple[int, float]]:
-    """The kinds of work of learning from guidance images, with how many pieces of each and guessed seconds; measured on
-    two cores."""
-    size = splats / 50_000
-    images = views * preset.poses_per_view
-    looks = look_schedule(preset, images) if splats >= PRUNE_FROM else ()
-    wanted = images + views * preset.held_out
-    kinds = {"distances": (1, 0.5 * size), "first image": (1, 0.2 + size)}
-    kinds |= {"guidance": (wanted - 1, 0.042 * (0.8 + size))}
-    for size_px, stage in preset.ranges():
-        pixels = (size_px / 512) ** 2
-        guess = preset.batch * 0.02 * (0.3 + pixels) * (0.3 + size) * (0.6 + bones / 50)
-        pieces = kinds.get(_learn(size_px), (0, 0.0))[0] + len(stage)
-        kinds[_learn(size_px)] = (pieces, guess)
-        pieces = kinds.get(_look(size_px), (0, 0.0))[0] + sum(at in stage for at in looks)
-        kinds[_look(size_px)] = (pieces, images * 0.008 * size)
-    kinds["check"] = (len(_check_at(preset)) if preset.held_out else 0, views * preset.held_out * 0.02 * size)
-    return kinds
-
-
-def _learn(size: int) -> str:
-    return f"learn at {size}"
-
-
-def _look(size: int) -> str:
-    return f"look at {size}"
-
-
-def _check_at(preset: Preset) -> frozenset[int]:
-    """The iterations after which the held-out poses are looked at: about every tenth of the run, and the end."""
-    return frozenset(np.linspace(0, preset.iterations, CHECKS + 1).round().astype(int)[1:].tolist())
-
-
 def _first_visits(preset: Preset, images: int) -> frozenset[int]:
-    """The iterations that meet an image for the first time at a size and bring it to that size: they take up to half
-    as long again, which says nothing about the others."""
+    """The iterations that use an image for the first time at a size and resize it: they take up to half as long
+    again, which says nothing about the others."""
     epoch = math.ceil(images / max(1, min(preset.batch, images)))
     return frozenset(visit for _, stage in preset.ranges() for visit in stage[:epoch])
 
@@ -71,18 +40,18 @@ def _first_visits(preset: Preset, images: int) -> frozenset[int]:
 def try_out(optimiser: Optimiser, eta: Eta, images: int) -> None:
     """Measure what an iteration costs at each size, before anything is learned.
 
-    images: how many the run will look at, where the optimiser at hand has fewer.
+    images: number of images of the run; `optimiser` may have fewer.
     """
     scale = images / len(optimiser.targets)
     for size in dict.fromkeys(size for size, _ in optimiser.preset.stages):
         optimiser.try_out(size)  # loads the kernels
         eta.forget()
-        if optimiser.looks:
-            optimiser.look(size)
-            eta.tried(_look(size), 1 / scale)
+        if optimiser.visibility_updates:
+            optimiser.update_visible(size)
+            eta.record_trial(visibility_kind(size), 1 / scale)
         for _ in range(TRIALS):
             optimiser.try_out(size)
-            eta.tried(_learn(size))
+            eta.record_trial(learning_kind(size))
 
 
 def make_guidance(provider: Any, signals: Sequence[ControlSignal], eta: Eta) -> list[Target]:
@@ -90,48 +59,45 @@ def make_guidance(provider: Any, signals: Sequence[ControlSignal], eta: Eta) -> 
     images = provider.images(signals)
     for number, signal in enumerate(signals):
         targets.append(Target(signal.camera, signal.transforms, next(images)))
-        # The first one waits for whatever the provider must load or work out beforehand.
-        eta.did("guidance" if number else "first image")
-        eta.tell("guidance", f"Guidance image {number + 1} of {len(signals)}")
+        # The first one waits for whatever the provider must load or compute beforehand.
+        eta.record("guidance" if number else "first image")
+        eta.report("guidance", f"Guidance image {number + 1} of {len(signals)}")
     return targets
 
 
 def optimise(optimiser: Optimiser, eta: Eta, checkpoint: Path) -> list[dict[str, float]]:
-    """Run to the end, from the checkpoint where there is one; the losses of about 50 iterations."""
-    path = checkpoint / "optimiser.pt"
+    """Run to the end, from the checkpoint if there is one; returns the losses of about 50 iterations."""
     iterations = optimiser.preset.iterations
-    history: list[dict[str, float]] = []
-    if path.is_file():
-        state = torch.load(path, weights_only=False)  # our own file, in the job's own folder
-        optimiser.restore(state["optimiser"])
-        history = state["history"]
+    history, remark = _load(optimiser, checkpoint)
+    if remark:
+        eta.report("optimise", remark)
     _skip_done(optimiser, eta)
-    checks, every = _check_at(optimiser.preset), max(1, iterations // 50)
+    checks, every = checks_of(optimiser.preset), max(1, iterations // 50)
     slow = _first_visits(optimiser.preset, len(optimiser.targets))
     saved, cost = time.monotonic(), 0.0
     eta.forget()
     while optimiser.iteration < iterations and not optimiser.stop.reason:
         number, size = optimiser.iteration, optimiser.size_now()
-        if optimiser.must_look:
-            optimiser.look()
-            eta.did(_look(size))
+        if optimiser.must_update_visible:
+            optimiser.update_visible()
+            eta.record(visibility_kind(size))
         parts = optimiser.step()
         if number in slow:
-            eta.skip(_learn(size), 1)
+            eta.skip(learning_kind(size), 1)
             eta.forget()
         else:
-            eta.did(_learn(size))
+            eta.record(learning_kind(size))
         if number % every == 0 or number == iterations - 1:
             history.append({"iteration": number, **parts})
         if optimiser.iteration in checks and optimiser.check() is not None:
-            eta.did("check")
+            eta.record("check")
         begun = time.monotonic()
         if begun - saved > CHECKPOINT_SECONDS + cost / CHECKPOINT_SHARE:
-            _save({"optimiser": optimiser.state(), "history": history}, path)
+            _save(optimiser, history, checkpoint)
             saved = time.monotonic()
             cost = saved - begun
             eta.forget()
-        eta.tell("optimise", f"Iteration {number + 1} of {iterations}", parts)
+        eta.report("optimise", f"Iteration {number + 1} of {iterations}", parts)
     optimiser.use_best()
     return history
 
@@ -142,15 +108,44 @@ def _skip_done(optimiser: Optimiser, eta: Eta) -> None:
     for number in range(reached):
         optimiser.iteration = number
         size = optimiser.size_now()
-        eta.skip(_learn(size), 1)
-        if number in optimiser.looks:
-            eta.skip(_look(size), 1)
-        if number + 1 in _check_at(optimiser.preset):
+        eta.skip(learning_kind(size), 1)
+        if number in optimiser.visibility_updates:
+            eta.skip(visibility_kind(size), 1)
+        if number + 1 in checks_of(optimiser.preset):
             eta.skip("check", 1)
     optimiser.iteration = reached
 
 
-def _save(state: dict[str, Any], path: Path) -> None:
-    temporary = path.with_suffix(".tmp")
-    torch.save(state, temporary)
-    os.replace(temporary, path)
+def _save(optimiser: Optimiser, history: list[dict[str, float]], checkpoint: Path) -> None:
+    state = optimiser.state()
+    seen = [None if mask is None else torch.from_numpy(mask) for mask in state["seen"]]
+    save_checkpoint(checkpoint / STATE, {"optimiser": {**state, "seen": seen}, "history": history})
+
+
+def _load(optimiser: Optimiser, checkpoint: Path) -> tuple[list[dict[str, float]], str]:
+    """Restore the optimiser to where a stopped run left it; returns that run's losses.
+
+    A checkpoint that cannot be used is deleted, since its contents can be learned again; the second value then says
+    so, otherwise it is empty. Those of gskin 0.1.0 were pickles, which can run code, and are not even opened.
+    """
+    remove_leftovers(checkpoint)
+    path, old = checkpoint / STATE, checkpoint / OLD_STATE
+    if old.exists() or old.is_symlink():
+        old.unlink()
+        if not path.is_file():
+            return [], "The checkpoint of an older gskin is not read, the learning starts anew"
+    if not path.is_file():
+        return [], ""
+    before = copy.deepcopy(optimiser.state())
+    try:
+        state = load_checkpoint(path)
+        kept = state["optimiser"]
+        optimiser.restore({**kept, "seen": [None if mask is None else mask.numpy() for mask in kept["seen"]]})
+        if not 0 <= optimiser.iteration <= optimiser.preset.iterations:
+            raise ValueError(f"iteration {optimiser.iteration}")
+        return [dict(parts) for parts in state["history"]], ""
+    # What a checkpoint of another version, or one that somebody made up, may stumble over.
+    except (InputError, AttributeError, IndexError, KeyError, TypeError, ValueError, RuntimeError) as error:
+        optimiser.restore(before)
+        path.unlink()
+        return [], f"The checkpoint cannot be used ({first_line(error)}), the learning starts anew"

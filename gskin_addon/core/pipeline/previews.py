@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures of a job's result, for people who did not watch it."""
+"""Images of a job's result, for later inspection."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A job's proxy mesh: weights live on its vertices, the splats hang on its triangles."""
+"""A job's proxy mesh: its vertices have the weights, the splats are anchored to its triangles."""
 
 from __future__ import annotations
 
@@ -73,16 +73,16 @@ class Proxy:
             np.concatenate([cloud.opacities, np.ones(count, np.float32)]),
             np.concatenate([cloud.sh[:, :1], cloud.sh[cKDTree(cloud.means).query(self.verts)[1], :1]]),
         )
-        weights, sure = initial_with_confidence(name, both, skeleton, masks, cameras, options)
-        return weights[cloud.count :], None if sure is None else sure[cloud.count :]
+        weights, confidence = initial_with_confidence(name, both, skeleton, masks, cameras, options)
+        return weights[cloud.count :], None if confidence is None else confidence[cloud.count :]
 
-    def spread(self, weights: NDArray[np.float32], normalised: bool = True) -> NDArray[np.float32]:
+    def to_splats(self, weights: NDArray[np.float32], normalised: bool = True) -> NDArray[np.float32]:
         """Weights (N, B) of all splats from those of the vertices (V, B); or other values, not `normalised`."""
-        spread = splat_weights(self.anchors, weights, self.faces)
-        return spread / spread.sum(axis=1, keepdims=True) if normalised else spread
+        values = splat_weights(self.anchors, weights, self.faces)
+        return values / values.sum(axis=1, keepdims=True) if normalised else values
 
     def poser(self, subset: SplatSubset, neighbours: int = NEIGHBOURS) -> AnchoredPoser:
-        """What moves the splats that are optimised; neighbours: of each vertex, for ARAP."""
+        """The poser of the splats that are optimised; neighbours: of each vertex, for ARAP."""
         return AnchoredPoser(subset.cloud, self.anchors.select(subset.index), self.verts, self.faces, neighbours)
 
     def summary(self) -> dict[str, float]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a recipe gives back."""
+"""The result of a recipe."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 @dataclass(frozen=True, eq=False)
 class SkinResult:
     """weights (N, B) float32, rows sum to 1; report: numbers and words; previews: images (H, W, 3) in [0, 1] by name;
-    mesh_weights (V, B): of the proxy mesh's vertices, where the job has one; confidence (N,) in 0..1, where the
-    initial weights know how sure they are."""
+    mesh_weights (V, B): of the proxy mesh's vertices, where the job has one; confidence (N,) in 0..1, if the method
+    gives one."""
 
     weights: NDArray[np.float32]
     report: dict[str, Any]

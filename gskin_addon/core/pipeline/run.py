@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A job on arrays: which recipe it takes."""
+"""Runs a job on arrays with the recipe that it needs."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ def run(
 ) -> SkinResult:
     """Skin `cloud` to `skeleton` (same world space, any unit).
 
-    `report` is told the progress. `checkpoint` is a folder, inside the job's, in which the optimiser leaves its state
-    every few seconds; a run that finds one goes on from there and ends with the same weights as a run that was never
-    stopped.
+    `report` is called with the progress. `checkpoint` is a folder, inside the job's, in which the optimiser leaves its
+    state every few seconds; a run that finds one continues from it and ends with the same weights as an uninterrupted
+    run.
 
     Raises:
         InputError: settings that do not exist or do not fit. Cancelled: `report` said so.

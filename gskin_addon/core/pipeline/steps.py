@@ -21,7 +21,7 @@ from ..rig.skeleton import Skeleton
 from ..skinning.extent import unit_frame
 from ..skinning.initial import PRESENT, initial_with_confidence, needs_masks
 from ..skinning.subset import SplatSubset, follow_nearest
-from ..splats.cleanup import Hygiene
+from ..splats.cleanup import Cleanup
 from ..splats.cloud import SplatCloud
 from .eta import Eta
 
@@ -34,7 +34,7 @@ Weights = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class JobInputs:
-    """A job as the recipes take it.
+    """The inputs of a recipe.
 
     settings: checked; cloud, skeleton: in the world space of the job, any unit; folder: the job's, where files that
     its settings name lie; checkpoint: a folder inside it for what a stopped run needs to go on.
@@ -86,9 +86,9 @@ class PreparedSplats:
 def prepare_splats(job: JobInputs) -> PreparedSplats:
     """Bring a job to unit size and find its bad splats."""
     cloud, skeleton = to_unit_size(job.cloud, job.skeleton)
-    hygiene = Hygiene.parse(job.settings.hygiene)
-    ignored, bad = hygiene.find(cloud)
-    shaped, needles = hygiene.shape(cloud)
+    cleanup = Cleanup.parse(job.settings.hygiene)
+    ignored, bad = cleanup.find(cloud)
+    shaped, needles = cleanup.shape(cloud)
     return PreparedSplats(cloud, shaped, skeleton, ignored, {**bad, **needles})
 
 
@@ -120,13 +120,13 @@ def rest_pictures(
 
 
 def learning_subset(job: JobInputs, splats: PreparedSplats, cameras: Sequence[Camera]) -> SplatSubset:
-    """The splats that stand for all in renders."""
+    """The splats that represent all of them in renders."""
     from ..skinning.subset import choose_subset
 
-    def seen() -> NDArray[np.bool_]:
+    def visible() -> NDArray[np.bool_]:
         return _seen_at_rest(splats.shaped, cameras)
 
-    return choose_subset(splats.shaped, job.settings.seed, ignored=splats.ignored, seen=seen)
+    return choose_subset(splats.shaped, job.settings.seed, ignored=splats.ignored, visible=visible)
 
 
 def initial_weights(
@@ -138,18 +138,18 @@ def initial_weights(
 ) -> tuple[Weights, NDArray[np.float32] | None]:
     """Initial weights (N, B) of all splats and their confidence (N,), where the method knows it.
 
-    masks (V, H, W): of the object in each camera; for methods that see (`needs_masks`). Splats that the job may not
-    change keep their present weights.
+    masks (V, H, W): of the object in each camera; for methods that need them (`needs_masks`). Splats that the job may
+    not change keep their present weights.
     """
-    eta.tell("initial", "Initial weights")
+    eta.report("initial", "Initial weights")
     if job.settings.init == PRESENT:
         if job.scope.present is None:
             raise ValueError("JobInputs.read refuses this")
         return job.scope.present.copy(), None
 
     def tick(fraction: float) -> None:
-        eta.reach("initial", fraction)
-        eta.tell("initial", "Initial weights")
+        eta.record_up_to("initial", fraction)
+        eta.report("initial", "Initial weights")
 
     weights, confidence = initial_with_confidence(
         job.settings.init,
@@ -173,8 +173,8 @@ def keep_present(scope: Scope, weights: Weights) -> Weights:
 
 
 def finish_weights(job: JobInputs, splats: PreparedSplats, weights: Weights) -> Weights:
-    """Weights (N, B) as they leave the job: bad splats follow their nearest neighbour, the number of bones per splat is
-    limited, and what may not change has not."""
+    """The final weights (N, B) of a job: bad splats follow their nearest neighbour, the number of bones per splat is
+    limited, and splats that may not change have their present weights."""
     weights = follow_nearest(splats.cloud.means, weights, splats.ignored)
     if job.settings.max_influences:
         weights = sparsify(weights, job.settings.max_influences)
@@ -227,10 +227,10 @@ def masks_for(init: str, cloud: SplatCloud, cameras: Sequence[Camera]) -> NDArra
 def _seen_at_rest(cloud: SplatCloud, cameras: Sequence[Camera]) -> NDArray[np.bool_]:
     """Splats (N,) that show in some view."""
     from ..render.rasterizer import prepare, view_colors
-    from ..skinning.views import SEEN
+    from ..skinning.views import VISIBLE_WEIGHT
 
-    seen = np.zeros(cloud.count, bool)
+    visible = np.zeros(cloud.count, bool)
     for camera in cameras:
         scene = prepare(cloud.scales, view_colors(cloud, camera), cloud.opacities, backend="cpu")
-        seen |= scene.contribution(cloud.means, cloud.quats, camera) > SEEN
-    return seen
+        visible |= scene.contribution(cloud.means, cloud.quats, camera) > VISIBLE_WEIGHT
+    return visible

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A small scene on which a rasteriser is held against the CPU's before it is trusted with a job."""
+"""A small scene on which a rasteriser is compared with the CPU's before a job uses it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ def worst_difference(prepare: Callable[..., Any]) -> float:
     """Largest of: mean image error, relative errors (L2) of the gradients of a batch, error of contributions."""
     rng = np.random.default_rng(0)
     count, poses = 300, 3
-    # Opacities below 0.99: beyond, gsplat means something else.
     constant = np.exp(rng.normal(-2.8, 0.6, (count, 3))), rng.random((count, 3)), rng.uniform(0.05, 0.98, count)
     means = rng.normal(0, 0.4, (poses, count, 3)).astype(np.float32)
     quats = rng.normal(size=(poses, count, 4)).astype(np.float32)

@@ -22,7 +22,7 @@ TRUST = 5e-3
 """Largest relative difference from the CPU on a small scene; a faulty driver or kernel is off by far more."""
 
 WARP_DEVICE = "GSKIN_WARP_DEVICE"
-"""Environment variable that names another Warp device than the first CUDA one; "cpu" for tests."""
+"""Environment variable with the Warp device to use instead of the first CUDA one; "cpu" for tests."""
 
 
 @dataclass(frozen=True)
@@ -55,35 +55,22 @@ def _lacks_warp() -> str:
     return ""
 
 
-def _lacks_gsplat() -> str:
-    if importlib.util.find_spec("gsplat") is None:
-        return f"The rasteriser gsplat is not installed; install it with: {sys.executable} -m pip install gsplat"
-    if not cuda_device():
-        return "The rasteriser gsplat found no CUDA device; install NVIDIA's driver, or choose cpu."
-    import torch
-
-    if not torch.cuda.is_available():
-        return "The rasteriser gsplat needs a torch with CUDA; install one, or choose warp."
-    return ""
-
-
 BACKENDS = {
     "cpu": Backend(".cpu.backend", lambda: ""),
     "warp": Backend(".warp.backend", _lacks_warp),
-    "gsplat": Backend(".gsplat_backend", _lacks_gsplat),
 }
 
 
 def resolve_backend(name: str = AUTO) -> str:
-    """The backend that `name` stands for. InputError if there is none of that name or it cannot be used here."""
+    """The backend that `name` stands for. InputError if there is no such backend or it cannot be used here."""
     return choose_backend(name)[0]
 
 
 def choose_backend(name: str = AUTO) -> tuple[str, str]:
     """(backend, why) for a name or "auto"; `why` is a sentence for a person, "" where there is nothing to say.
 
-    "auto" takes gsplat where its kernels are compiled, else Warp, where there is a CUDA device and the kernels
-    reproduce the CPU's numbers on a small scene; else the CPU.
+    "auto" takes Warp where there is a CUDA device and the kernels reproduce the CPU's numbers on a small scene; else
+    the CPU.
 
     Raises:
         InputError: an unknown name, or a rasteriser that this machine cannot use.
@@ -104,22 +91,11 @@ def _auto() -> tuple[str, str]:
         if sys.platform == "darwin" and platform.machine() == "arm64":
             return "cpu", "Splats are drawn by the processor: there is no rasteriser for Apple's GPU."
         return "cpu", ""
-    why = ""
-    for name in ("gsplat", "warp"):
-        if BACKENDS[name].lacks() or (name == "gsplat" and not _gsplat_is_compiled()):
-            continue
-        why = _disagreement(name)
-        if not why:
-            return name, f"Splats are drawn by {cuda_device()} with {name}."
-    return "cpu", why or "A GPU is not used: " + _lacks_warp()
-
-
-def _gsplat_is_compiled() -> bool:
-    """Whether gsplat's kernels came with it: compiling them takes minutes and must be asked for by name."""
-    try:
-        return importlib.util.find_spec("gsplat.csrc") is not None
-    except ImportError:
-        return False
+    missing = _lacks_warp()
+    if missing:
+        return "cpu", "A GPU is not used: " + missing
+    why = _disagreement("warp")
+    return ("cpu", why) if why else ("warp", f"Splats are drawn by {cuda_device()} with warp.")
 
 
 def _disagreement(name: str) -> str:

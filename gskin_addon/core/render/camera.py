@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pinhole cameras in OpenCV axes (x right, y down, z forward), and the views the method looks from.
+"""Pinhole cameras in OpenCV axes (x right, y down, z forward), and the views that the method uses.
 
 Pixel (column i, row j) covers [i, i+1) x [j, j+1); its centre is (i + 0.5, j + 0.5). The world is Z-up and
 right-handed, in metres.
@@ -45,7 +45,7 @@ class Camera:
 
     @property
     def center(self) -> NDArray[np.float64]:
-        """Where the camera stands, (3,), world."""
+        """Position of the camera, (3,), world."""
         return np.asarray(-self.rotation.T @ self.translation)
 
     @property

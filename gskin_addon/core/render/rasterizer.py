@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The one way to render splats: backends by name, a torch function with gradients, pictures of clouds."""
+"""The one way to render splats: backends by name, and pictures of clouds."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,9 +14,6 @@ from ..splats.cloud import SplatCloud
 from ..splats.sh import eval_sh
 from .backends import BACKENDS, resolve_backend
 from .camera import Camera
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 Array = NDArray[np.float32]
 
@@ -65,27 +62,6 @@ def prepare(
     module = import_module(BACKENDS[resolve_backend(backend)].module, __package__)
     scene: Scene = module.prepare(scales, colors, opacities, dilation=dilation, compensate=compensate)
     return scene
-
-
-def rasterize(
-    means: Tensor,
-    quats: Tensor,
-    scales: Tensor,
-    colors: Tensor,
-    opacities: Tensor,
-    camera: Camera,
-    background: Tensor | ArrayLike = (1.0, 1.0, 1.0),
-    backend: str = "auto",
-) -> tuple[Tensor, Tensor]:
-    """torch: (image (H,W,3), alpha (H,W)) of splats; gradients reach means (N,3) and quats (N,4) only.
-
-    scales (N,3) linear, colors (N,3) sRGB, opacities (N,) in 0..1, background (3,). See reference.render for
-    the meaning; float32 inside.
-    """
-    from .autograd import rasterize_torch
-
-    scene = prepare(*(t.detach().cpu().numpy() for t in (scales, colors, opacities)), backend=backend)
-    return rasterize_torch(scene, means, quats, camera, background)
 
 
 def view_colors(cloud: SplatCloud, camera: Camera) -> Array:

@@ -47,8 +47,3 @@ def joints_posed(skeleton: Skeleton, transforms: Array) -> tuple[Array, Array]:
     heads = np.einsum("...bij,bj->...bi", rotation, skeleton.heads) + shift
     tails = np.einsum("...bij,bj->...bi", rotation, skeleton.tails) + shift
     return heads, tails
-
-
-def transforms_from_matrices(skeleton: Skeleton, pose: Array) -> Array:
-    """Deform transforms pose x inverse(rest), of posed bone matrices (..., B, 4, 4) in world space."""
-    return np.asarray(pose, dtype=np.float64) @ np.linalg.inv(skeleton.rest)

@@ -153,7 +153,7 @@ class Skeleton:
                 np.array(data["tails"], dtype=np.float64),
                 rest,  # type: ignore[arg-type]
             )
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
             raise InputError(f"{label} is not a skeleton ({error}); export it again.") from error
 
 

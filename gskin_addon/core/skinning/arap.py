@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ..render.cpu.threads import row_ranges, spread
+from ..render.cpu.threads import parallel_for, row_ranges
 from .rotations import closest_rotation
 
 
@@ -67,7 +67,7 @@ def arap_loss(
     grad = np.zeros_like(posed)
     losses = np.zeros(len(posed))
     rest = np.ascontiguousarray(rest, np.float32)
-    spread(_kernel, row_ranges(len(posed)), rest, posed, nodes, neighbours, losses, grad)
+    parallel_for(_kernel, row_ranges(len(posed)), rest, posed, nodes, neighbours, losses, grad)
     scale = 1.0 / (2.0 * neighbours.size * len(posed))
     grad *= np.float32(scale)
     return float(losses.sum() * scale), grad

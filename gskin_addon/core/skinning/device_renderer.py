@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Posing, rendering and the image loss on a GPU: per iteration weights go up and their gradient comes down.
+"""Posing, rendering and the image loss on a GPU: in each iteration the weights are uploaded and their gradient
+downloaded.
 
-The weight field, ARAP and coupling stay on the CPU; they are small beside twenty images.
+The weight field, ARAP and coupling stay on the CPU; they cost little compared with twenty images.
 """
 
 from __future__ import annotations
@@ -34,12 +35,12 @@ def tensor_device(scene: Any) -> str | None:
     """torch's name of the device on which a scene takes tensors, if this torch can use it; else None."""
     device: str | None = getattr(scene, "tensor_device", None)
     if device is not None and device.startswith("cuda") and not torch.cuda.is_available():
-        return None  # Warp has a GPU, but torch is one for the CPU: arrays go up and down
+        return None  # Warp has a GPU, but this torch is for the CPU: arrays are copied
     return device
 
 
 class DeviceRenderer:
-    """Vanilla splats (Eq. 1 and Eq. 3) on a device, their pictures and losses."""
+    """Vanilla splats (Eq. 1 and Eq. 3) on a device, their renders and losses."""
 
     def __init__(self, cloud: SplatCloud, device: str, background: ArrayLike) -> None:
         self._device, self._background = device, background

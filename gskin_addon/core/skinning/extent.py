@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Size and place of an object, not disturbed by stray splats; numpy only."""
+"""Size and position of an object, robust to stray splats; numpy only."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ def robust_bounds(points: Array, percent: float = 1.0, reach: float = 0.25) -> t
     """Lower and upper corner (3,) of the bounding box of `points` (N, 3) without far strays.
 
     The box between the `percent` and 100 - `percent` percentiles, grown by `reach` of its own size on every
-    side, decides what is stray; the result is the exact bounding box of what lies inside it. So a clean
-    object keeps its true box.
+    side, decides which points are strays; the result is the exact bounding box of the others. So a clean object keeps
+    its true box.
     """
     points = np.asarray(points, dtype=np.float64)
     low, high = np.percentile(points, [percent, 100 - percent], axis=0)
-    # A flat object has no thickness along one axis: let the largest side speak for a part of the reach.
+    # A flat object has no thickness along one axis: let the largest side count for a part of the margin.
     grow = reach * (high - low) + 0.05 * (high - low).max()
     inside = ((points >= low - grow) & (points <= high + grow)).all(axis=1)
     kept = points[inside] if inside.any() else points

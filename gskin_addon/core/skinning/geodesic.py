@@ -1,30 +1,46 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Distances from splats to bones through the inside of the object (after Dionne & de Lasa 2013).
 
-Where the straight way to the closest point of a bone stays inside, the distance is Euclidean and exact.
-Elsewhere a shortest path over the 26 neighbours of each voxel leads to where the bone is in sight; paths are
-straightened on the way (lazy Theta*, Nash et al. 2010), since paths along voxel edges come out up to 9 % too
-long.
+Where the straight way to the closest point of a bone stays inside, the distance is Euclidean and exact. Elsewhere a
+shortest path over the 26 neighbours of each voxel leads to where the bone is in sight.
 """
 
 from __future__ import annotations
 
-import math
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
+from ..rig.nearest_points import nearest_points
 from ..rig.segments import bone_segments
 from ..rig.skeleton import Skeleton
 from ..splats.cloud import SplatCloud
-from .visibility import closest_on_segment
+from ..splats.components import connected_components
+from ..ticks import Tick, cores, silent, stretch, work
+from .gaps import bridge_pieces
+from .voxel_filters import dilate
 from .voxels import VoxelGrid, voxelize
+from .walls import blocked, nearest_open
 
 Array = NDArray[Any]
 
-_BLOCK = 16  # bones at a time: bounds the memory of the voxel distances
+_PAIRS = 3_000_000
+"""Voxels times bones that a thread has at a time: bounds the memory."""
+
+_THREADS = 2  # more only wait for the memory
+_POINTS = 50_000  # at a time
+_STEPS = np.array(list(product((-1, 0, 1), repeat=3)))
+"""The 27 steps to a voxel and its neighbours; the voxel itself is number 13."""
+
+_UNIT = np.float32(4096)
+"""Lengths are whole parts of a voxel, so many to one, rounded down: sums of the same steps are then equal in whatever
+order, and bones that are equally far stay so in whatever unit."""
+
+_LENGTHS = (np.floor(np.sqrt(np.square(_STEPS).sum(axis=1)) * _UNIT) / _UNIT).astype(np.float32)
 
 
 def geodesic_distances(
@@ -36,38 +52,41 @@ def geodesic_distances(
     scales: Array | None = None,
     quats: Array | None = None,
     grid: VoxelGrid | None = None,
+    walls: Array | None = None,
+    tick: Tick = silent,
 ) -> Array:
     """Distance (N, B) float32, in metres, from each splat to each bone through the object.
 
     Parts that do not touch are joined across their gap. A bone outside the object is reached through the air
     from the nearest voxel, a stray splat likewise, so every distance is finite.
 
-    means (N, 3), opacities (N,); `resolution`, `scales`, `quats` as in `voxelize`, or its `grid` ready made.
+    means (N, 3), opacities (N,); `resolution`, `scales`, `quats` as in `voxelize`, or its `grid` ready made. walls
+    (N,): labels, 0 for none; no way leads from one label straight to another, only around. A ready made grid must
+    have them as well.
     """
     if grid is None:
-        grid = voxelize(means, opacities, resolution, scales=scales, quats=quats)
-    nodes = np.argwhere(grid.solid).astype(np.int32)
-    ids = np.full(grid.shape, -1, dtype=np.int32)
-    ids[tuple(nodes.T)] = np.arange(len(nodes), dtype=np.int32)
-    air, nearest = _nearest_solid(grid.solid, ids)
-    start, target, length = _bridges(grid.solid, ids, nodes, nearest)
-    points = np.ascontiguousarray(grid.coordinates(means))
+        grid = voxelize(means, opacities, resolution, scales=scales, quats=quats, walls=walls)
+    body = _Inside.of(grid)
+    tick(0.1)
+    places = _Places.of(body, grid.coordinates(means), walls)
+    tick(0.2)
     heads, tails = grid.coordinates(skeleton.heads), grid.coordinates(skeleton.tails)
-    out = np.empty((len(points), skeleton.count), dtype=np.float32)
-    for first in range(0, skeleton.count, _BLOCK):
-        block = slice(first, min(first + _BLOCK, skeleton.count))
-        distance = np.empty((block.stop - first, len(nodes)), dtype=np.float32)
-        _bone_distances(
-            nodes, ids, air, nearest, heads[block], tails[block], start, target, length, distance
-        )
-        part = np.empty((len(points), block.stop - first), dtype=np.float32)
-        _point_distances(points, nodes, ids, air, nearest, heads[block], tails[block], distance, part)
-        out[:, block] = part
+    out = np.empty((len(means), skeleton.count), dtype=np.float32)
+    threads = min(_THREADS, cores())
+    size = max(1, min(_PAIRS // (body.count + 1), -(-skeleton.count // (2 * threads))))
+    bones = _Bones.of(body, heads, tails)
+    tasks = [
+        partial(_fill, body, places, bones, range(first, min(first + size, skeleton.count)), out)
+        for first in range(0, skeleton.count, size)
+    ]
+    work(tasks, stretch(tick, 0.2, 1.0), threads)
     out *= np.float32(grid.pitch)
     return out
 
 
-def body_distances(cloud: SplatCloud, skeleton: Skeleton, resolution: int = 96) -> Array:
+def body_distances(
+    cloud: SplatCloud, skeleton: Skeleton, resolution: int = 96, *, walls: Array | None = None
+) -> Array:
     """Distances (N, B) float32, metres, from splats through the body to what each bone really spans.
 
     As `geodesic_distances`, but to the segments of `bone_segments`: importers invent tails.
@@ -80,294 +99,301 @@ def body_distances(cloud: SplatCloud, skeleton: Skeleton, resolution: int = 96) 
         resolution,
         scales=cloud.scales,
         quats=cloud.quats,
+        walls=walls,
     )
     return segments.nearest(distances)
 
 
-def _nearest_solid(solid: Array, ids: Array) -> tuple[Array, Array]:
-    """For every voxel: distance in voxels to the nearest solid one (float32) and that one's node (int32)."""
-    from scipy import ndimage
+@dataclass(frozen=True)
+class _Inside:
+    """The M solid voxels of a grid.
 
-    distance, index = ndimage.distance_transform_edt(~solid, return_indices=True)
-    return distance.astype(np.float32), np.ascontiguousarray(ids[tuple(index)])
-
-
-def _bridges(solid: Array, ids: Array, nodes: Array, nearest: Array) -> tuple[Array, Array, Array]:
-    """Edges across the gaps between parts, as compressed rows: start (M + 1,), target, length in voxels.
-
-    Parts are joined along the minimum spanning tree of their gaps; a pair of parts is joined wherever its gap
-    is nearly as narrow as at its narrowest, so that a plate hovering over a body hangs on it everywhere.
+    nodes (M, 3): which; centres (3, M) float32; index (X * Y * Z,): the node of each voxel, M in the air; further
+    (27, M): the node one of `_STEPS` further, M where there is none and M + 1 where a wall lies between; bridges:
+    edges across gaps by the node they start from, as compressed rows: start (M + 1,), target, length in voxels; walls
+    (M,): labels or None.
     """
-    from scipy import ndimage, sparse
 
-    label, count = ndimage.label(solid, structure=np.ones((3, 3, 3)))
-    start = np.zeros(len(nodes) + 1, dtype=np.int64)
-    if count < 2:
-        return start, np.zeros(0, dtype=np.int32), np.zeros(0, dtype=np.float32)
-    part = label[tuple(nodes.T)]
-    # Where the regions of nearest solid voxels meet, the two nearest voxels face each other across a gap.
-    pairs = []
-    for axis in range(3):
-        a = np.moveaxis(nearest, axis, 0)[:-1].ravel()
-        b = np.moveaxis(nearest, axis, 0)[1:].ravel()
-        apart = part[a] != part[b]
-        pairs.append(np.column_stack([a[apart], b[apart]]))
-    edge = np.unique(np.sort(np.concatenate(pairs), axis=1), axis=0)
-    gap = np.linalg.norm((nodes[edge[:, 0]] - nodes[edge[:, 1]]).astype(np.float64), axis=1)
-    low = np.minimum(part[edge[:, 0]], part[edge[:, 1]]).astype(np.int64)
-    high = np.maximum(part[edge[:, 0]], part[edge[:, 1]]).astype(np.int64)
-    key = low * (count + 1) + high
-    unique, inverse = np.unique(key, return_inverse=True)
-    narrowest = np.full(len(unique), np.inf)
-    np.minimum.at(narrowest, inverse, gap)
-    graph = sparse.coo_matrix((narrowest, (unique // (count + 1), unique % (count + 1))))
-    graph.resize((count + 1, count + 1))
-    tree = sparse.csgraph.minimum_spanning_tree(graph.tocsr()).tocoo()
-    chosen = np.isin(key, np.minimum(tree.row, tree.col) * (count + 1) + np.maximum(tree.row, tree.col))
-    chosen &= gap <= 1.5 * narrowest[inverse] + 1
-    a, b, gap = edge[chosen, 0], edge[chosen, 1], gap[chosen]
-    source, target = np.concatenate([a, b]), np.concatenate([b, a])
-    order = np.argsort(source, kind="stable")
-    np.add.at(start, source + 1, 1)
-    lengths = np.concatenate([gap, gap])[order].astype(np.float32)
-    return np.cumsum(start), target[order].astype(np.int32), lengths
+    grid: VoxelGrid
+    nodes: Array
+    centres: Array
+    index: Array
+    further: Array
+    bridges: tuple[Array, Array, Array]
+    walls: Array | None
 
+    @property
+    def count(self) -> int:
+        """M."""
+        return len(self.nodes)
 
-@njit(cache=True)
-def _in_sight(ids, p, q, allowance):  # type: ignore[no-untyped-def]
-    """Whether the segment p -> q (voxel units) stays in solid voxels, but for a last stretch of at most
-    `allowance`.
+    @classmethod
+    def of(cls, grid: VoxelGrid) -> _Inside:
+        """The solid voxels of `grid`, which has some."""
+        nodes = np.argwhere(grid.solid)
+        count, walls = len(nodes), None if grid.walls is None else grid.walls[grid.solid]
+        index = np.full(grid.shape, count, np.int32)
+        index[grid.solid] = np.arange(count, dtype=np.int32)
+        padded = np.pad(index, 1, constant_values=count)
+        place = np.ravel_multi_index(tuple((nodes + 1).T), padded.shape)
+        stride = np.array([padded.shape[1] * padded.shape[2], padded.shape[2], 1])
+        further = np.stack([padded.ravel()[place + int(step @ stride)] for step in _STEPS])
+        if walls is not None:
+            further[blocked(np.append(walls, 0)[further], walls[None])] = count + 1
+        centres = np.ascontiguousarray((nodes + 0.5).T.astype(np.float32))
+        return cls(grid, nodes, centres, index.ravel(), further, _bridges(nodes, further, walls), walls)
 
-    Sampled at every half voxel.
-    """
-    dx, dy, dz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
-    length = math.sqrt(dx * dx + dy * dy + dz * dz)
-    steps = int(length * 2) + 1
-    nx, ny, nz = ids.shape
-    for s in range(1, steps + 1):
-        t = s / steps
-        i, j, k = math.floor(p[0] + t * dx), math.floor(p[1] + t * dy), math.floor(p[2] + t * dz)
-        inside = 0 <= i < nx and 0 <= j < ny and 0 <= k < nz and ids[i, j, k] >= 0
-        if inside:
-            continue
-        # In the air: only the rest of the way may be, and not for long.
-        if (1 - t) * length > allowance or allowance <= 0:
-            return False
-    return True
+    def node_at(self, places: Array) -> Array:
+        """The node in whose voxel places (K, 3) lie, M outside the object and the grid."""
+        voxel = np.floor(places).astype(np.int64)
+        inside = ((voxel >= 0) & (voxel < self.grid.shape)).all(axis=1)
+        voxel[~inside] = 0
+        return np.where(inside, self.index[np.ravel_multi_index(tuple(voxel.T), self.grid.shape)], self.count)
 
 
-@njit(cache=True)
-def _air_at(air, q):  # type: ignore[no-untyped-def]
-    """Distance in voxels from a point to the nearest solid voxel, 0 inside; works beyond the grid."""
-    i = min(max(math.floor(q[0]), 0), air.shape[0] - 1)
-    j = min(max(math.floor(q[1]), 0), air.shape[1] - 1)
-    k = min(max(math.floor(q[2]), 0), air.shape[2] - 1)
-    dx, dy, dz = q[0] - (i + 0.5), q[1] - (j + 0.5), q[2] - (k + 0.5)
-    out = max(abs(dx), abs(dy), abs(dz)) - 0.5
-    if out <= 0:
-        return float(air[i, j, k])
-    return float(air[i, j, k]) + math.sqrt(dx * dx + dy * dy + dz * dz)
-
-
-@njit(cache=True)
-def _closest(p, head, tail, q):  # type: ignore[no-untyped-def]
-    """Write the point of the bone closest to p into q; returns the distance."""
-    ab = tail - head
-    t = closest_on_segment(p, head, ab, max(ab[0] ** 2 + ab[1] ** 2 + ab[2] ** 2, 1e-300))
-    total = 0.0
-    for k in range(3):
-        q[k] = head[k] + t * ab[k]
-        total += (p[k] - q[k]) ** 2
-    return math.sqrt(total)
-
-
-@njit(cache=True)
-def _allowance(air, q):  # type: ignore[no-untyped-def]
-    gap = _air_at(air, q)
-    return 0.0 if gap <= 0 else 1.5 * gap + 1.0
-
-
-@njit(cache=True)
-def _sift_up(heap, place, key, at):  # type: ignore[no-untyped-def]
-    node = heap[at]
-    while at > 0:
-        up = (at - 1) >> 1
-        if key[heap[up]] <= key[node]:
-            break
-        heap[at] = heap[up]
-        place[heap[at]] = at
-        at = up
-    heap[at] = node
-    place[node] = at
-
-
-@njit(cache=True)
-def _pop(heap, place, key, size):  # type: ignore[no-untyped-def]
-    """Take the node with the smallest key off a heap of `size` nodes."""
-    top = heap[0]
-    node = heap[size - 1]
-    size -= 1
-    at = 0
-    while True:
-        child = 2 * at + 1
-        if child >= size:
-            break
-        if child + 1 < size and key[heap[child + 1]] < key[heap[child]]:
-            child += 1
-        if key[heap[child]] >= key[node]:
-            break
-        heap[at] = heap[child]
-        place[heap[at]] = at
-        at = child
-    heap[at] = node
-    place[node] = at
-    place[top] = -2
-    return top
-
-
-@njit(parallel=True, cache=True)
-def _bone_distances(nodes, ids, air, nearest, heads, tails, start, target, length, out):  # type: ignore[no-untyped-def]
-    """out (B, M): distance in voxels from the centre of every solid voxel to every bone."""
-    for b in prange(len(heads)):
-        _one_bone(nodes, ids, air, nearest, heads[b], tails[b], start, target, length, out[b])
-
-
-@njit(cache=True)
-def _one_bone(nodes, ids, air, nearest, head, tail, start, target, length, d):  # type: ignore[no-untyped-def]
+def _bridges(nodes: Array, further: Array, walls: Array | None) -> tuple[Array, Array, Array]:
+    """See `_Inside`. A pair of parts is joined wherever its gap is nearly as narrow as at its narrowest, so that a
+    plate hovering over a body hangs on it everywhere."""
     count = len(nodes)
-    nx, ny, nz = ids.shape
-    anchor = np.full(count, -1, dtype=np.int32)  # the voxel in sight whose distance the path builds on
-    before = np.full(count, -1, dtype=np.int32)  # the voxel before it on the path
-    place = np.full(count, -1, dtype=np.int32)  # position in the heap, -1 never there, -2 done
-    heap = np.empty(count, dtype=np.int32)
-    size = 0
-    p, q = np.empty(3), np.empty(3)
-    for n in range(count):
-        for k in range(3):
-            p[k] = nodes[n, k] + 0.5
-        euclid = _closest(p, head, tail, q)
-        if _in_sight(ids, p, q, _allowance(air, q)):
-            d[n] = euclid
-            place[n] = -2  # no way is shorter
+    first, second = [], []
+    for step in range(13):  # the other half leads back
+        linked = np.flatnonzero(further[step] < count)
+        first.append(linked)
+        second.append(further[step][linked])
+    part = connected_components(count, np.concatenate(first), np.concatenate(second))
+    start = np.zeros(count + 1, np.int64)
+    if not part.any():
+        return start, np.zeros(0, np.int64), np.zeros(0, np.float32)
+    surface = np.flatnonzero((further >= count).any(axis=0))
+    labels = None if walls is None else walls[surface]
+    edge = surface[bridge_pieces(nodes[surface], part[surface], labels, beside=1.0)]
+    source, target = np.concatenate([edge, edge[:, ::-1]]).T
+    order = np.argsort(source, kind="stable")
+    source, target = source[order], target[order]
+    np.cumsum(np.bincount(source, minlength=count), out=start[1:])
+    length = np.linalg.norm((nodes[source] - nodes[target]).astype(np.float64), axis=1)
+    return start, target, _rounded(length)
+
+
+@dataclass(frozen=True)
+class _Bones:
+    """heads and axes (B, 3) in voxels; for each bone, at even steps from head to tail: allowance (S,), how long the
+    last stretch of a way may lead through the air; seeds (S,) the nearest nodes, and reach (S,) the ways to them;
+    labels (S,) of those nodes, where there are walls."""
+
+    heads: Array
+    axes: Array
+    allowance: list[Array]
+    seeds: list[Array]
+    reach: list[Array]
+    labels: list[Array] | None
+
+    @classmethod
+    def of(cls, body: _Inside, heads: Array, tails: Array) -> _Bones:
+        """Bones from heads to tails (B, 3)."""
+        axes = tails - heads
+        steps = (np.linalg.norm(axes, axis=1) * 4).astype(np.int64) + 2
+        places = np.concatenate(
+            [h + np.linspace(0, 1, n)[:, None] * a for h, a, n in zip(heads, axes, steps, strict=True)]
+        )
+        node = body.node_at(places)
+        outer = np.flatnonzero(node == body.count)
+        gap = np.zeros(len(places))
+        if len(outer):
+            centres = body.nodes + 0.5
+            node[outer] = nearest_points(centres, places[outer], 1)[1][:, 0]
+            gap[outer] = 1.5 * nearest_points(centres, np.floor(places[outer]) + 0.5, 1)[0][:, 0] + 1.0
+        reach = np.linalg.norm(body.nodes[node] + 0.5 - places, axis=1)
+        cuts = np.cumsum(steps)[:-1]
+        labels = None if body.walls is None else np.split(body.walls[node], cuts)
+        allowance, seeds, ways = (np.split(a, cuts) for a in (gap.astype(np.float32), node, _rounded(reach)))
+        return cls(heads, axes, allowance, seeds, ways, labels)
+
+    def closest(self, bone: int, places: Array, own: Array | None) -> tuple[Array, Array, Array]:
+        """Ways (3, K) from places (3, K) to the closest points of a bone, their lengths (K,), and the allowances (K,).
+
+        own (K,): labels of the places. A bone in the air is beyond a wall if the node nearest to it is.
+        """
+        dtype = places.dtype
+        head, axis = self.heads[bone].astype(dtype), self.axes[bone].astype(dtype)
+        way = head[:, None] - places
+        along = -(axis @ way) / max(float(axis @ axis), 1e-30)
+        np.clip(along, 0, 1, out=along)
+        way += axis[:, None] * along
+        length = np.sqrt(np.einsum("kn,kn->n", way, way))
+        table = self.allowance[bone]
+        if not table.any():
+            return way, length, np.zeros(1, dtype)
+        at = np.rint(along * (len(table) - 1)).astype(np.int64)
+        allowance = table[at]
+        if own is not None and self.labels is not None:
+            allowance[blocked(own, self.labels[bone][at])] = 0
+        return way, length, allowance
+
+
+@dataclass(frozen=True)
+class _Places:
+    """Where N splats are: points (N, 3) in voxels; own (N,): the node in whose voxel each lies, or the nearest that no
+    wall keeps from it; inside (N,): the former."""
+
+    points: Array
+    own: Array
+    inside: Array
+
+    @classmethod
+    def of(cls, body: _Inside, points: Array, walls: Array | None) -> _Places:
+        """Splats at points (N, 3) in voxels, with labels (N,) or None."""
+        own = body.node_at(points)
+        inside = own < body.count
+        label = None if walls is None or body.walls is None else np.asarray(walls)
+        if label is not None and body.walls is not None:
+            inside &= ~blocked(label, np.append(body.walls, 0)[own])
+        outer = np.flatnonzero(~inside)
+        if len(outer):
+            mine = None if label is None else label[outer]
+            own[outer] = nearest_open(body.nodes + 0.5, points[outer], body.walls, mine)[1]
+        return cls(points, own, inside)
+
+
+def _first_step(body: _Inside, at: Array, offset: Array, way: Array, length: Array) -> Array:
+    """The node (K,), as in `_Inside.further`, that one voxel towards the bone lies in: from `offset` (3, K) in the
+    voxel of node `at`, or of each node, along `way` (3, K); the bone's own where it is nearer."""
+    step = way / np.maximum(length, 1)
+    step += offset
+    code = np.floor(step, out=step).astype(np.int8)
+    number = (code[0].astype(np.int64) * 3 + code[1]) * 3 + code[2] + 13
+    return body.further.reshape(-1)[number * body.count + at]
+
+
+def _in_sight(body: _Inside, bones: _Bones, bone: int) -> tuple[Array, Array]:
+    """Lengths (M,) of the straight ways from the nodes to a bone, and whether they stay inside (M,).
+
+    A node sees the bone if the next one on the way there does, a voxel further on.
+    """
+    count = body.count
+    way, length, allowance = bones.closest(bone, body.centres, body.walls)
+    after = _first_step(body, np.arange(count), np.full((3, 1), 0.5, np.float32), way, length)
+    end = np.where(length <= 1, count, after)
+    # Beyond the last solid voxel only the rest of the way to a bone outside may lie, and not for long.
+    end[(after == count) & ((allowance <= 0) | (length - 1 > allowance))] = count + 1
+    end[after == count + 1] = count + 1
+    jump = np.append(end, [count, count + 1])
+    while (jump[:-2] < count).any():
+        jump = jump[jump]
+    return length, jump[:-2] == count
+
+
+def _fill(body: _Inside, places: _Places, bones: _Bones, block: range, out: Array, tick: Tick) -> None:
+    """out[:, block], in voxels."""
+    count = body.count
+    distance = np.full((len(block), count + 2), np.inf, np.float32)
+    sight = np.zeros((len(block), count + 2), bool)
+    rim = np.zeros((len(block), count), bool)
+    hangs = np.diff(body.bridges[0]) > 0
+    grid = np.zeros(body.grid.shape, bool)
+    for row, bone in enumerate(block):
+        length, seen = _in_sight(body, bones, bone)
+        distance[row, :count][seen], sight[row, :count] = _rounded(length[seen]), seen
+        grid[body.grid.solid] = ~seen
+        rim[row] = seen & (dilate(grid)[body.grid.solid] | hangs)
+        tick(0.3 * (row + 1) / len(block))
+    _spread(body, bones, block, distance, rim, stretch(tick, 0.3, 0.8))
+    sight[:, count] = False
+    part = stretch(tick, 0.8, 1.0)
+    for first in range(0, len(places.points), _POINTS):
+        rows = slice(first, first + _POINTS)
+        own = places.own[rows]
+        labels = None if body.walls is None else body.walls[own]
+        points = np.ascontiguousarray(places.points[rows].T)
+        offset = points - body.nodes[own].T
+        near = body.further[:, own]
+        reach = np.sqrt(sum(np.square(offset[k] - (_STEPS[:, k] + 0.5)[:, None]) for k in range(3)))
+        reach[near >= count] = np.inf
+        near[near >= count] = count
+        outside = ~places.inside[rows]
+        reach[:13, outside] = reach[14:, outside] = np.inf
+        for row, bone in enumerate(block):
+            way, length, allowance = bones.closest(bone, points, labels)
+            after = _first_step(body, own, np.where(outside, 0.5, offset), way, length)
+            seen = sight[row][after] | ((after < count) & (length <= 1))
+            seen |= (after == count) & (allowance > 0) & (length - 1 <= allowance)
+            seen &= ~outside
+            around = (distance[row][near] + reach).min(axis=0)
+            out[rows, bone] = np.where(seen, length, np.maximum(around, length))
+            part((first + (row + 1) / len(block) * len(own)) / len(places.points))
+
+
+def _rounded(length: Array) -> Array:
+    """See `_UNIT`; float32."""
+    return (np.floor(length * _UNIT) / _UNIT).astype(np.float32)
+
+
+def _spread(body: _Inside, bones: _Bones, block: range, distance: Array, rim: Array, tick: Tick) -> None:
+    """Fill distance (B, M + 2), which is infinite where a bone of the block is not in sight, by shortest paths.
+
+    All (bone, node) pairs at once, in buckets of one voxel: no edge is shorter, so each pair leaves its bucket with its
+    final distance (Dial 1969). rim (B, M): the pairs in sight that others may build on.
+    """
+    count, width = body.count, body.count + 2
+    start, target, length = body.bridges
+    flat = distance.reshape(-1)
+    waiting: dict[int, list[Array]] = {}
+
+    def put(pairs: Array) -> None:
+        """Into the buckets of their distances."""
+        bucket = flat[pairs].astype(np.int32)
+        if not len(bucket):
+            return
+        low, high = int(bucket.min()), int(bucket.max())
+        if high - low > 4:
+            order = np.argsort(bucket, kind="stable")
+            cuts = np.searchsorted(bucket[order], np.arange(low, high + 2))
+            for number, (a, b) in enumerate(pairwise(cuts.tolist())):
+                if b > a:
+                    waiting.setdefault(low + number, []).append(pairs[order[a:b]])
         else:
-            d[n] = np.inf
-    # Bones, or parts of them, outside the object: through the air to the nearest voxel.
-    bone = math.sqrt((tail[0] - head[0]) ** 2 + (tail[1] - head[1]) ** 2 + (tail[2] - head[2]) ** 2)
-    samples = int(bone * 2) + 2
-    for s in range(samples + 1):
-        for k in range(3):
-            q[k] = head[k] + s / samples * (tail[k] - head[k])
-        i = min(max(math.floor(q[0]), 0), nx - 1)
-        j = min(max(math.floor(q[1]), 0), ny - 1)
-        k = min(max(math.floor(q[2]), 0), nz - 1)
-        n = nearest[i, j, k]
-        if place[n] == -2:
-            continue
-        way = 0.0
-        for axis in range(3):
-            way += (nodes[n, axis] + 0.5 - q[axis]) ** 2
-        way = math.sqrt(way)
-        if way < d[n]:
-            d[n] = way
-            anchor[n] = before[n] = n
-            if place[n] == -1:
-                heap[size] = n
-                place[n] = size
-                size += 1
-            _sift_up(heap, place, d, place[n])
-    # The rim of what is in sight.
-    for n in range(count):
-        if place[n] == -2:
-            size = _relax(nodes, ids, start, target, length, d, anchor, before, place, heap, size, n, n)
-    while size > 0:
-        n = _pop(heap, place, d, size)
-        size -= 1
-        a = anchor[n]
-        if a >= 0 and a != n:
-            # Straighten the path: from the anchor in a line, if nothing is in between.
-            for k in range(3):
-                p[k] = nodes[a, k] + 0.5
-                q[k] = nodes[n, k] + 0.5
-            straight = d[a] + math.sqrt((p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2)
-            if straight < d[n]:
-                if _in_sight(ids, p, q, 0.0):
-                    d[n] = straight
-                else:
-                    anchor[n] = before[n]
-        size = _relax(nodes, ids, start, target, length, d, anchor, before, place, heap, size, n, anchor[n])
+            for number in range(low, high + 1):
+                waiting.setdefault(number, []).append(pairs[bucket == number])
 
-
-@njit(cache=True)
-def _relax(nodes, ids, start, target, length, d, anchor, before, place, heap, size, n, a):  # type: ignore[no-untyped-def]
-    """Offer the neighbours of node n the way through it; returns the size of the heap."""
-    nx, ny, nz = ids.shape
-    x, y, z = nodes[n, 0], nodes[n, 1], nodes[n, 2]
-    for i in range(max(x - 1, 0), min(x + 2, nx)):
-        for j in range(max(y - 1, 0), min(y + 2, ny)):
-            for k in range(max(z - 1, 0), min(z + 2, nz)):
-                m = ids[i, j, k]
-                if m < 0 or place[m] == -2:
-                    continue
-                step = d[n] + math.sqrt(float((i - x) * (i - x) + (j - y) * (j - y) + (k - z) * (k - z)))
-                size = _offer(d, anchor, before, place, heap, size, m, step, a, n)
-    for e in range(start[n], start[n + 1]):
-        m = target[e]
-        if place[m] != -2:
-            size = _offer(d, anchor, before, place, heap, size, m, d[n] + length[e], m, m)
-    return size
-
-
-@njit(cache=True)
-def _offer(d, anchor, before, place, heap, size, m, way, a, n):  # type: ignore[no-untyped-def]
-    if way >= d[m]:
-        return size
-    d[m] = way
-    anchor[m] = a
-    before[m] = n
-    if place[m] == -1:
-        heap[size] = m
-        place[m] = size
-        size += 1
-    _sift_up(heap, place, d, place[m])
-    return size
-
-
-@njit(parallel=True, cache=True)
-def _point_distances(points, nodes, ids, air, nearest, heads, tails, distance, out):  # type: ignore[no-untyped-def]
-    """out (N, B): distance in voxels from every point to every bone, by sight or over the voxels around."""
-    nx, ny, nz = ids.shape
-    for s in prange(len(points)):
-        p, q = points[s], np.empty(3)
-        x = min(max(math.floor(p[0]), 0), nx - 1)
-        y = min(max(math.floor(p[1]), 0), ny - 1)
-        z = min(max(math.floor(p[2]), 0), nz - 1)
-        inside = ids[x, y, z] >= 0
-        near, way = np.empty(27, dtype=np.int32), np.empty(27)
-        count = 0
-        if inside:
-            for i in range(max(x - 1, 0), min(x + 2, nx)):
-                for j in range(max(y - 1, 0), min(y + 2, ny)):
-                    for k in range(max(z - 1, 0), min(z + 2, nz)):
-                        if ids[i, j, k] >= 0:
-                            near[count] = ids[i, j, k]
-                            way[count] = math.sqrt(
-                                (p[0] - i - 0.5) ** 2 + (p[1] - j - 0.5) ** 2 + (p[2] - k - 0.5) ** 2
-                            )
-                            count += 1
-        else:
-            near[0] = n = nearest[x, y, z]
-            way[0] = math.sqrt(
-                (p[0] - nodes[n, 0] - 0.5) ** 2
-                + (p[1] - nodes[n, 1] - 0.5) ** 2
-                + (p[2] - nodes[n, 2] - 0.5) ** 2
-            )
-            count = 1
-        for b in range(len(heads)):
-            euclid = _closest(p, heads[b], tails[b], q)
-            if inside and _in_sight(ids, p, q, _allowance(air, q)):
-                out[s, b] = euclid
-                continue
-            best = np.inf
-            for c in range(count):
-                best = min(best, distance[b, near[c]] + way[c])
-            out[s, b] = max(best, euclid)
+    seeds = []
+    for row, bone in enumerate(block):
+        at = bones.seeds[bone] + row * width
+        fresh = bones.reach[bone] < flat[at]
+        np.minimum.at(flat, at[fresh], bones.reach[bone][fresh])
+        seeds.append(at[fresh])
+    rows, nodes = np.nonzero(rim)
+    put(np.concatenate([rows * width + nodes, np.unique(np.concatenate(seeds))]))
+    distance[:, count:] = -np.inf  # never reached
+    settled = np.zeros(flat.shape, bool)
+    stamp = np.empty(flat.shape, np.int32)
+    done = 0
+    while waiting:
+        now = min(waiting)
+        pairs = np.concatenate(waiting.pop(now))
+        pairs = pairs[~settled[pairs]]
+        pairs = pairs[flat[pairs] < now + 1]
+        stamp[pairs] = np.arange(len(pairs), dtype=np.int32)
+        pairs = pairs[stamp[pairs] == np.arange(len(pairs))]  # each once
+        settled[pairs] = True
+        done += len(pairs)
+        for first in range(0, len(pairs), 8192):
+            some = pairs[first : first + 8192]
+            base = some // width * width
+            node = some - base
+            way = flat[some] + _LENGTHS[:, None]
+            to = body.further[:, node] + base
+            better = way < flat[to]
+            to, way = to[better], way[better]
+            np.minimum.at(flat, to, way)
+            put(to)
+            hanging = np.flatnonzero(start[node + 1] > start[node])
+            if len(hanging):
+                edges = start[node[hanging] + 1] - start[node[hanging]]
+                edge = np.repeat(start[node[hanging]] - np.cumsum(edges) + edges, edges) + np.arange(edges.sum())
+                source = np.repeat(hanging, edges)
+                to, way = target[edge] + base[source], flat[some[source]] + length[edge]
+                better = way < flat[to]
+                np.minimum.at(flat, to[better], way[better])
+                put(to[better])
+        tick(min(1.0, done / (0.8 * len(block) * count)))
+    distance[:, count:] = np.inf

@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..splats.cloud import SplatCloud
+from ..ticks import Tick, silent
+from .laplacian import GraphLaplacian
 from .node_graph import NodeGraph, build_graph
 
 HANDLE_STRENGTH = 3.0
-FACING_STRENGTH = 6.0
-"""Of handles that feel `facing_distances`: with 4, 6 and 9 the heat weights keep 0.659, 0.641 and 0.641 of the initial
-weights' error on 83 assets, and on the animals among them 0.577, 0.584 and 0.599."""
+NORMAL_WEIGHTED_STRENGTH = 6.0
+"""Strength of handles with `normal_weighted_distances`: with 4, 6 and 9 the heat weights keep 0.659, 0.641 and 0.641
+of the initial weights' error on 83 assets, and on the animals among them 0.577, 0.584 and 0.599."""
 
 TIES = 1.0001
 CLOSEST = 1e-3
@@ -30,8 +32,8 @@ class BoneHeat:
     neighbours.
 
     graph: the nodes; rest (M, 3); handle_bone (M, B): the bones that hold each node, rows sum to 1; handle_strength
-    (M,); laplacian, adjacency (M, M) sparse; solver: factors of laplacian + diag(handle_strength);
-    equilibrium (M, B): the heat of each bone at each node.
+    (M,); laplacian of the graph; equilibrium (M, B): the heat of each bone at each node, with which laplacian +
+    diag(handle_strength) balances the handles.
     """
 
     def __init__(
@@ -39,47 +41,45 @@ class BoneHeat:
         cloud: SplatCloud,
         distances: NDArray[Any],
         *,
-        reach: NDArray[Any] | None = None,
+        handle_distances: NDArray[Any] | None = None,
         strength: float = HANDLE_STRENGTH,
         nodes: int = 3000,
+        graph: NodeGraph | None = None,
+        walls: NDArray[Any] | None = None,
+        tick: Tick = silent,
     ) -> None:
-        """cloud: N splats; distances (N, B): from each splat to each bone, through the body, metres; reach (N, B):
-        the same as the handles feel it, such as `facing_distances`; strength of the handles."""
-        from scipy import sparse
-        from scipy.sparse.linalg import splu
-
-        self.graph: NodeGraph = build_graph(cloud.means, distances, nodes)
+        """cloud: N splats; distances (N, B): from each splat to each bone, through the body, metres;
+        handle_distances (N, B): by which the handles are held, `distances` by default, see
+        `normal_weighted_distances`; strength of the handles; graph of `cloud` and
+        `distances`, ready made, or how many nodes and which walls (N,) to make it with, see `build_graph`."""
+        self.graph: NodeGraph = build_graph(cloud.means, distances, nodes, walls=walls) if graph is None else graph
         self.rest = cloud.means[self.graph.nodes].astype(np.float64)
         a, b = self.graph.edges.T
         count = len(self.rest)
         square = np.square(self.rest[a] - self.rest[b]).sum(1)
         square = np.minimum(square, 4 * np.median(square))  # bridges across gaps are no measure of density
         mass = (np.bincount(a, square, count) + np.bincount(b, square, count)) / 4
-        felt = distances if reach is None else reach
-        near = np.maximum(np.asarray(felt[self.graph.nodes], np.float64), CLOSEST * diagonal(cloud))
+        pulling = distances if handle_distances is None else handle_distances
+        near = np.maximum(np.asarray(pulling[self.graph.nodes], np.float64), CLOSEST * diagonal(cloud))
         nearest = near.min(axis=1, keepdims=True)
         bone = near <= nearest * TIES
         self.handle_bone = bone / bone.sum(axis=1, keepdims=True)
         self.handle_strength = strength * mass / nearest[:, 0] ** 2
-        adjacency = sparse.coo_matrix((np.ones(len(a)), (a, b)), shape=(count, count))
-        self.adjacency = (adjacency + adjacency.T).tocsr()
-        degree = np.asarray(self.adjacency.sum(axis=1)).ravel()
-        self.laplacian = sparse.diags(degree) - self.adjacency
-        self.solver = splu((self.laplacian + sparse.diags(self.handle_strength)).tocsc())
-        self.equilibrium = self.solver.solve(self.handle_strength[:, None] * self.handle_bone)
+        self.laplacian = GraphLaplacian(count, self.graph.edges)
+        self.equilibrium = self._balance(self.handle_strength, None, tick)
 
-    def weights(self, strength: float = 1.0) -> NDArray[np.float32]:
+    def _balance(self, handles: NDArray[Any], guess: NDArray[Any] | None, tick: Tick) -> NDArray[Any]:
+        """(M, B) heat with handles of the strengths (M,)."""
+        return self.laplacian.solve(handles, handles[:, None] * self.handle_bone, guess, tick)
+
+    def weights(self, strength: float = 1.0, tick: Tick = silent) -> NDArray[np.float32]:
         """The equilibrium as weights (N, B) of the splats, rows sum to 1.
 
         Handles of another `strength`, as a part of the usual one, give wider (below 1) or narrower transitions.
         """
-        from scipy import sparse
-        from scipy.sparse.linalg import splu
-
         heat = self.equilibrium
         if strength != 1.0:
-            handles = strength * self.handle_strength
-            heat = splu((self.laplacian + sparse.diags(handles)).tocsc()).solve(handles[:, None] * self.handle_bone)
+            heat = self._balance(strength * self.handle_strength, heat, tick)
         blended = np.einsum("nk,nkb->nb", self.graph.anchor_weight, heat[self.graph.anchor])
         blended = np.maximum(blended, 0)
         return (blended / blended.sum(axis=1, keepdims=True)).astype(np.float32)

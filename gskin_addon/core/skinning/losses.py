@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The factors of the loss, as a job may set them. Plain data."""
+"""The factors of the loss, which a job may set. Plain data."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ _COUNTS = {"arap_neighbours": 1, "coupling_neighbours": 1, "arap_nodes": 0}
 class LossWeights:
     """Factors of Eq. 9. ARAP is counted relative to the mean squared edge, coupling in the unit diagonal.
 
-    Both are thereby free of the asset's scale. The paper has K_1 = 30 and does not state its w_a, w_c and K_2; these
-    here are the best of a sweep (`benchmarks/sweep_losses.py`, docs/benchmarks.md).
+    So both are independent of the asset's scale. The paper has K_1 = 30 and does not state its w_a, w_c and K_2; these
+    are the best values of a sweep (`benchmarks/sweep_losses.py`, docs/benchmarks.md).
 
-    arap, coupling: w_a, w_c; dssim: share of D-SSIM beside L1, 0 to 1; anchor: of the divergence from the initial
-    weights; arap_neighbours, coupling_neighbours: K_1, K_2; arap_nodes: nodes drawn for ARAP in each iteration, 0
+    arap, coupling: w_a, w_c; dssim: share of D-SSIM beside L1, 0 to 1; anchor: of `PriorLoss`, named as the
+    job's key; arap_neighbours, coupling_neighbours: K_1, K_2; arap_nodes: nodes drawn for ARAP in each iteration, 0
     for all.
     """
 

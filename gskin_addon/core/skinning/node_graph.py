@@ -9,6 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..rig.nearest_points import nearest_points
+from ..splats.components import connected_components
+from .gaps import bridge_pieces
+from .walls import blocked, nearest_open
+
 
 @dataclass(frozen=True)
 class NodeGraph:
@@ -35,33 +40,41 @@ def build_graph(
     *,
     neighbours: int = 10,
     anchors: int = 4,
+    walls: NDArray[Any] | None = None,
 ) -> NodeGraph:
     """Choose about `count` evenly spread nodes and connect each to its `neighbours` nearest.
 
     means (N, 3); distances (N, B) to the bones through the body. Along the body such a distance changes by
     no more than the way gone, so a larger change between neighbours betrays a gap (two legs side by side):
     neither edges nor anchors lead across it. Separate pieces are joined by their shortest gaps, so that the
-    graph is connected.
+    graph is connected. walls (N,): labels, see `walls`; neither edges nor anchors lead across one, but for a bridge
+    to a piece that has no other.
     """
-    from scipy.spatial import cKDTree
-
     nodes = _even_subset(means, count)
     points = np.asarray(means[nodes], np.float64)
-    tree = cKDTree(points)
     k = min(neighbours + 1, len(nodes))
-    length, index = tree.query(points, k)
+    length, index = nearest_points(points, points, k)
     pitch = float(np.median(length[:, 1:]))
     edges = np.stack([np.repeat(np.arange(len(nodes)), k - 1), index[:, 1:].ravel()], axis=1)
     edges = np.unique(np.sort(edges, axis=1), axis=0)
     profile = np.asarray(distances, np.float32)
     a, b = edges.T
     edges = edges[~_gap(points[a], points[b], profile[nodes[a]], profile[nodes[b]], pitch)]
-    edges = np.concatenate([edges, _bridges(points, edges)])
+    label = None if walls is None else np.asarray(walls)[nodes]
+    if label is not None:
+        edges = edges[~blocked(label[edges[:, 0]], label[edges[:, 1]])]
+    edges = np.concatenate([edges, bridge_pieces(points, connected_components(len(nodes), *edges.T), label)])
 
-    distance, anchor = tree.query(means, min(2 * anchors, len(nodes)))
-    distance, anchor = distance.reshape(len(means), -1), anchor.reshape(len(means), -1)
+    distance, anchor = nearest_points(points, means, min(2 * anchors, len(nodes)))
     apart = np.stack([_gap(means, points[i], profile, profile[nodes[i]], pitch) for i in anchor.T], axis=1)
-    apart[apart.all(axis=1), 0] = False
+    if label is None or walls is None:
+        apart[apart.all(axis=1), 0] = False
+    else:
+        own = np.asarray(walls)
+        apart |= blocked(own[:, None], label[anchor])
+        alone = np.flatnonzero(apart.all(axis=1))
+        distance[alone, 0], anchor[alone, 0] = nearest_open(points, means[alone], label, own[alone])
+        apart[alone, 0] = False
     ranked = np.argsort(np.where(apart, np.inf, distance), axis=1, kind="stable")[:, : anchors + 1]
     anchor, distance, apart = (np.take_along_axis(a, ranked, 1) for a in (anchor, distance, apart))
     # The first node left out sets the reach, so that anchors fade out before they are exchanged.
@@ -93,29 +106,16 @@ def _even_subset(means: NDArray[Any], count: int) -> NDArray[np.int64]:
     for _ in range(14):
         middle = float(np.sqrt(low * high))
         cells = np.floor((means - lower) / side * middle).astype(np.int64)
-        taken = np.unique(cells, axis=0, return_index=True)[1]
+        taken = np.unique(_key(cells), return_index=True)[1]
         low, high = (middle, high) if len(taken) < count else (low, middle)
     # The most central splat of each voxel keeps the nodes evenly spaced.
     offset = np.square((means - lower) / side * middle - cells - 0.5).sum(1)
     order = np.argsort(offset, kind="stable")
-    return np.sort(order[np.unique(cells[order], axis=0, return_index=True)[1]])
+    return np.sort(order[np.unique(_key(cells[order]), return_index=True)[1]])
 
 
-def _bridges(points: NDArray[np.float64], edges: NDArray[np.int64]) -> NDArray[np.int64]:
-    """One edge across the shortest gap of each separate piece, until all are one."""
-    from scipy import sparse
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
-
-    added: list[tuple[int, int]] = []
-    while True:
-        every = np.concatenate([edges, np.array(added, np.int64).reshape(-1, 2)])
-        matrix = sparse.coo_matrix((np.ones(len(every)), every.T), shape=(len(points),) * 2)
-        pieces, label = connected_components(matrix, directed=False)
-        if pieces == 1:
-            return np.array(added, np.int64).reshape(-1, 2)
-        for piece in np.argsort(np.bincount(label))[:-1]:
-            inside, outside = np.flatnonzero(label == piece), np.flatnonzero(label != piece)
-            distance, nearest = cKDTree(points[outside]).query(points[inside])
-            best = int(distance.argmin())
-            added.append((int(inside[best]), int(outside[nearest[best]])))
+def _key(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """(N,) one number for each cell (N, 3), in the order of x, then y, then z."""
+    cells = cells - cells.min(axis=0)
+    size = cells.max(axis=0) + 1
+    return np.asarray((cells[:, 0] * size[1] + cells[:, 1]) * size[2] + cells[:, 2])

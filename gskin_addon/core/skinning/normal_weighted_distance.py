@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which way splats face, and how far bones are for them: one behind a splat is nearer than one in front of it.
+"""Outward normals of splats, and bone distances weighted by them: a bone behind a splat counts as nearer than one in
+front of it.
 
-A bone lies inside its limb, so the limb's surface turns its back on it. Distances that count this tell legs that
-touch apart and give the belly to the spine, not to the thigh beside it. Blender's bone heat weighs its distances so.
+A bone lies inside its limb, behind the limb's surface. Distances that take this into account separate legs that touch
+and assign the belly to the spine, not to the thigh beside it. Blender's bone heat weights its distances likewise.
 """
 
 from __future__ import annotations
@@ -12,73 +13,76 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..rig.nearest_points import nearest_points
 from ..rig.segments import BoneSegments, closest_on_segment
+from .voxel_filters import blur, slope_at
 from .voxels import VoxelGrid
 
 Array = NDArray[Any]
 
 _CLEAR = 0.5
-"""Share of the usual density step at a surface from which on the outside is beyond doubt."""
+"""From this share of the usual density step at a surface on, the outside is certain."""
 
-_NEIGHBOURS = 32
+NEIGHBOURS = 32
+"""Nearest splats whose normals are compared with a splat's own."""
+
 _SPLIT, _WHOLE = 0.4, 0.8
-"""Agreements from which on an outward normal counts in part, and in whole. Of cloth that lies close to a body only the
-outer side shows which way is out: it agrees with half of the splats around."""
+"""Agreements above which an outward normal counts in part, and fully. Where cloth lies close to a body, only the outer
+side shows which way is out: it agrees with half of the splats around it."""
 
 
-def surface_normals(points: Array, neighbours: int = 12) -> Array:
-    """(N, 3) unit normals, of either sign: the direction in which the nearest splats spread least."""
-    from scipy.spatial import cKDTree
+def surface_normals(points: Array, neighbours: int = 12, near: Array | None = None) -> Array:
+    """(N, 3) unit normals, of either sign: the direction in which the nearest splats spread least.
 
+    near (N, >= neighbours): indices of each splat's nearest, itself included, if they are known.
+    """
     k = min(neighbours, len(points))
-    near = points[cKDTree(points).query(points, k)[1].reshape(len(points), -1)]
-    near = near - near.mean(axis=1, keepdims=True)
-    spread = np.einsum("nki,nkj->nij", near, near)
-    return np.linalg.eigh(spread)[1][:, :, 0]
+    index = nearest_points(points, points, k)[1] if near is None else near[:, :k]
+    around = points[index]
+    around = around - around.mean(axis=1, keepdims=True)
+    scatter = np.einsum("nki,nkj->nij", around, around)
+    return np.linalg.eigh(scatter)[1][:, :, 0]
 
 
-def outward(points: Array, normals: Array, grid: VoxelGrid) -> Array:
-    """Normals (N, 3) that point out of the filled object, as long as that is sure: 1 on a closed body, down to 0 on
-    what is thinner than a voxel on both sides, such as a leaf.
+def outward_normals(points: Array, normals: Array, grid: VoxelGrid) -> Array:
+    """Normals (N, 3) that point out of the filled object; their length is the certainty: 1 on a closed body, down to
+    0 on what is thinner than a voxel, such as a leaf.
 
     points, normals (N, 3), unit, of either sign; grid: of the same object.
     """
-    from scipy import ndimage
-
-    density = ndimage.gaussian_filter(grid.solid.astype(np.float32), 1.0)
-    at = grid.coordinates(points).T - 0.5
-    steepest = np.stack(
-        [ndimage.map_coordinates(slope, at, order=1, mode="nearest") for slope in np.gradient(density)], axis=1
-    )
+    steepest = slope_at(blur(grid.solid), grid.coordinates(points) - 0.5)
     fall = -np.einsum("nk,nk->n", steepest, normals)
     usual = float(np.median(np.abs(fall))) or 1.0
     return np.asarray(normals * np.clip(fall / (_CLEAR * usual), -1, 1)[:, None])
 
 
-def agreed(points: Array, out: Array, nearest: Array, size: float) -> Array:
-    """`out` (N, 3), shorter where splats around disagree: the two sides of cloth do not tell where its bones are.
+def consistent_normals(
+    points: Array, out: Array, nearest: Array, size: float, around: tuple[Array, Array] | None = None
+) -> Array:
+    """`out` (N, 3), shortened where neighbouring splats disagree: the two sides of cloth do not tell where its bones
+    are.
 
-    Around means within half of nearest (N,), the distance to the closest bone, so that a finger's bone, which is as
-    near as its skin is thick, keeps its say; size: the object's diagonal.
+    Neighbours are within half of nearest (N,), the distance to the closest bone, so that both sides of a thin finger
+    are not mixed; size: the object's diagonal; around: distances and indices (N, NEIGHBOURS) of each splat's nearest,
+    if they are known.
     """
-    from scipy.spatial import cKDTree
-
-    k = min(_NEIGHBOURS, len(points))
-    way, near = (a.reshape(len(points), -1) for a in cKDTree(points).query(points, k))
-    around = way <= np.clip(0.5 * nearest, 0.005 * size, 0.05 * size)[:, None]
-    mean = (out[near] * around[..., None]).sum(axis=1) / around.sum(axis=1)[:, None]
+    way, near = around or nearest_points(points, points, min(NEIGHBOURS, len(points)))
+    close = way <= np.clip(0.5 * nearest, 0.005 * size, 0.05 * size)[:, None]
+    mean = (out[near] * close[..., None]).sum(axis=1) / close.sum(axis=1)[:, None]
     agreement = (mean * out).sum(axis=1) / np.maximum(np.square(out).sum(axis=1), 1e-18)
     return np.asarray(out * np.clip((agreement - _SPLIT) / (_WHOLE - _SPLIT), 0, 1)[:, None])
 
 
-def facing_distances(points: Array, out: Array, segments: BoneSegments, distances: Array, floor: float) -> Array:
-    """Distances (N, B) float32 that grow up to a thousandfold where the splat faces the bone.
+def normal_weighted_distances(
+    points: Array, out: Array, segments: BoneSegments, distances: Array, floor: float
+) -> Array:
+    """Distances (N, B) float32, up to a thousand times larger where the bone lies in front of the splat.
 
-    d / ((cos + 1) / 2), as Blender's bone heat has it, with the angle between the outward normal and the way from the
-    bone's closest point; the plain distance where the splat turns its back on the bone.
+    d / ((cos + 1) / 2) as in Blender's bone heat, where cos is of the angle between the outward normal and the
+    direction from the bone's closest point; the plain distance where the bone lies straight behind the splat.
 
-    points (N, 3); out (N, 3): see `outward`; distances (N, S) to the segments, through the body, any unit; floor: the
-    least distance that counts, in that unit.
+    points (N, 3); out (N, 3): see `outward_normals`; distances (N, S) to the segments, through the body, any unit;
+    floor: lower bound of the distances, in that unit.
     """
     far = np.empty_like(distances, np.float32)
     for column, (start, end) in enumerate(zip(segments.starts, segments.ends, strict=True)):

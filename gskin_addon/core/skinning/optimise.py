@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -21,37 +22,44 @@ from .fields.base import WeightField
 from .losses import LossWeights
 from .posers import Poser, SplatPoser
 from .presets import Preset
-from .prior_loss import Anchor
+from .prior_loss import PriorLoss
 from .stopping import EarlyStop
 from .views import GuidanceViews, Target
+from .visibility_schedule import PRUNE_FROM, visibility_schedule
 
 __all__ = ["LossWeights", "Optimiser", "Target"]
 
-LOOK_EPOCHS = 4
-"""What a view sees is found anew after the images were gone through so many times, and at each new size."""
-PRUNE_FROM = 15_000
-"""Splats from which on looking costs less than it saves."""
 
-DEFAULT_LOSSES = LossWeights()
+@dataclass(frozen=True, eq=False)
+class LearningOptions:
+    """How an `Optimiser` learns, beside its preset.
+
+    losses: weights of the loss terms; confidence (M,), 0 to 1, weights the prior loss of each node (default: 1);
+    movable (M,) marks the nodes that may change, all if left out: the others keep the field's initial weights and are
+    only rendered; prune: False renders all splats in every view, the hidden ones too; seed: of all randomness;
+    background: sRGB; rasterizer: a name in BACKENDS, or "auto".
+    """
+
+    losses: LossWeights = field(default_factory=LossWeights)
+    confidence: NDArray[Any] | None = None
+    movable: NDArray[np.bool_] | None = None
+    prune: bool = True
+    seed: int = 0
+    background: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    rasterizer: str = AUTO
 
 
-def look_schedule(preset: Preset, images: int) -> frozenset[int]:
-    """The iterations before which the views find out what they see."""
-    every = max(1, round(LOOK_EPOCHS * images / max(1, min(preset.batch, images))))
-    return frozenset(look for _, stage in preset.ranges() for look in stage[::every])
+DEFAULT_OPTIONS = LearningOptions()
 
 
 class Optimiser:
-    """Adam on a weight field; keeps what is needed to stop and go on.
+    """Adam on a weight field; its state can be saved and restored.
 
-    `poser` says how weights move the splats (default: each splat by its own); the field gives the weights of its
-    nodes. The cloud, the skeleton and the targets must be in the same coordinates, the object near unit size
-    (bounding-box diagonal 1), so that the loss weights mean the same for every asset.
+    `poser` says how weights move the splats (default: each splat by its own weights); the field gives the weights of
+    the poser's nodes. The cloud, the skeleton and the targets must share one coordinate system in which the object is
+    about unit size (bounding-box diagonal 1), so that the loss weights mean the same for every asset.
 
-    `held_out` are targets that are only looked at, by `check`. `confidence` (M,), 0 to 1, says for each node how
-    far the initial weights are trusted by the anchor loss; everywhere where left out. `movable` (M,) says
-    which nodes may change; the others keep the field's initial weights and only help to draw. `prune=False` renders in
-    every view also the splats that it cannot see.
+    `held_out` targets are used by `check` only.
     """
 
     def __init__(
@@ -63,37 +71,33 @@ class Optimiser:
         preset: Preset,
         *,
         poser: Poser | None = None,
-        losses: LossWeights = DEFAULT_LOSSES,
         held_out: Sequence[Target] = (),
-        confidence: NDArray[Any] | None = None,
-        movable: NDArray[np.bool_] | None = None,
-        prune: bool = True,
-        seed: int = 0,
-        background: tuple[float, float, float] = (1.0, 1.0, 1.0),
-        rasterizer: str = AUTO,
+        options: LearningOptions = DEFAULT_OPTIONS,
     ) -> None:
+        losses, background = options.losses, options.background
         self.field, self.targets, self.preset, self.losses = field, targets, preset, losses
         self.iteration = 0
         self.stop = EarlyStop(preset.patience)
-        self._looked = -1
-        self.rasterizer = resolve_backend(rasterizer)
+        self._visible_since = -1
+        self.rasterizer = resolve_backend(options.rasterizer)
         views = partial(
             GuidanceViews, cloud, dssim=losses.dssim, background=background, backend=self.rasterizer
         )
         self._views, self._held_out = views(targets), views(held_out)
         self._best: dict[str, torch.Tensor] | None = None
-        self._rng = np.random.default_rng(seed)
+        self._rng = np.random.default_rng(options.seed)
         self._queue: list[int] = []
         self._rate = preset.learning_rate * field.rate
         self._adam = torch.optim.Adam(field.parameters(), lr=self._rate, betas=(0.9, 0.99))
         self._poser: Poser = poser or SplatPoser(cloud, losses.arap_neighbours)
         self._device_renderer = self._make_device_renderer(cloud, background)
-        # A GPU gains less from fewer splats than it loses by looking.
-        prune = prune and cloud.count >= PRUNE_FROM and self._device_renderer is None
-        self.looks: frozenset[int] = look_schedule(preset, len(targets)) if prune else frozenset()
+        # A GPU gains less from fewer splats than finding the visible ones costs.
+        prune = options.prune and cloud.count >= PRUNE_FROM and self._device_renderer is None
+        self.visibility_updates: frozenset[int] = visibility_schedule(preset, len(targets)) if prune else frozenset()
         nodes, self._neighbours = self._poser.nodes, self._poser.neighbours
         self._nodes = nodes
-        self._anchor = Anchor(field, confidence)
+        self._prior_loss = PriorLoss(field, options.confidence)
+        movable = options.movable
         self._movable = None if movable is None else torch.from_numpy(movable)[:, None]
         self._coupling = prepare_coupling(nodes, skeleton, neighbours=losses.coupling_neighbours)
         step = max(1, len(nodes) // 5000)
@@ -103,9 +107,8 @@ class Optimiser:
     def step(self) -> dict[str, float]:
         """One iteration on the next batch; returns the parts of the loss."""
         size = self.size_now()
-        if self.must_look:
-            self.look()
-        self.field.unlock(self.iteration / max(self.preset.iterations, 1))
+        if self.must_update_visible:
+            self.update_visible()
         for group in self._adam.param_groups:
             group["lr"] = self._rate * self._decay()
         batch = [self._next_target() for _ in range(min(self.preset.batch, len(self.targets)))]
@@ -115,14 +118,14 @@ class Optimiser:
         return parts
 
     def weights(self) -> NDArray[np.float32]:
-        """The present weights of the poser's nodes (M, B), rows sum to 1."""
+        """The current weights of the poser's nodes (M, B), rows sum to 1."""
         with torch.no_grad():
             return self._weights().numpy()
 
     def check(self) -> float | None:
         """Mean photometric loss of the held-out targets, all splats rendered; keeps the best weights so far.
 
-        None where nothing is held out. Afterwards `stop.reason` says whether and why to end.
+        None if nothing is held out. Afterwards `stop.reason` says whether to stop, and why.
         """
         if not self._held_out.targets:
             return None
@@ -140,34 +143,33 @@ class Optimiser:
         return value
 
     def use_best(self) -> None:
-        """Go back to the weights with the lowest held-out loss, where `check` was used."""
+        """Return to the weights with the lowest held-out loss, if `check` was used."""
         if self._best is not None:
             self.field.load_state_dict(self._best)
 
     def state(self) -> dict[str, Any]:
-        """Everything that `restore` needs to go on exactly where this stands."""
+        """Everything that `restore` needs to continue exactly from here."""
         return {
             "iteration": self.iteration,
             "queue": list(self._queue),
             "rng": self._rng.bit_generator.state,
             "field": self.field.state_dict(),
             "adam": self._adam.state_dict(),
-            "looked": self._looked,
-            "seen": [None if mask is None else mask.copy() for mask in self._views.seen],
+            "looked": self._visible_since,
+            "seen": [None if mask is None else mask.copy() for mask in self._views.visible],
             "stop": self.stop.state(),
             "best": self._best,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a `state` of an optimiser with the same inputs."""
+        """Continue from the `state` of an optimiser with the same inputs."""
         self.iteration = int(state["iteration"])
-        self.field.unlock((self.iteration - 1) / max(self.preset.iterations, 1))
         self.field.load_state_dict(state["field"])
         self._adam.load_state_dict(state["adam"])
         self._rng.bit_generator.state = state["rng"]
         self._queue = list(state["queue"])
-        self._looked = int(state["looked"])
-        self._views.set_seen(state["seen"])
+        self._visible_since = int(state["looked"])
+        self._views.set_visible(state["seen"])
         self.stop.restore(state["stop"])
         self._best = state["best"]
 
@@ -179,19 +181,20 @@ class Optimiser:
         return self.preset.stages[-1][0]
 
     @property
-    def must_look(self) -> bool:
-        """Whether the next iteration begins with a `look`."""
-        return self.iteration in self.looks and self.iteration != self._looked
+    def must_update_visible(self) -> bool:
+        """Whether the next iteration begins with `update_visible`."""
+        return self.iteration in self.visibility_updates and self.iteration != self._visible_since
 
-    def look(self, size: int | None = None) -> None:
-        """Find out which splats the views see with the present weights, at the next iteration's image size."""
+    def update_visible(self, size: int | None = None) -> None:
+        """Determine which splats the views see with the current weights; size: in pixels, by default the next
+        iteration's."""
         with torch.no_grad():
             weights = self._weights()
-        self._views.look(lambda transforms: self._posed(weights, transforms), size or self.size_now())
-        self._looked = self.iteration
+        self._views.update_visible(lambda transforms: self._posed(weights, transforms), size or self.size_now())
+        self._visible_since = self.iteration
 
     def try_out(self, size: int) -> None:
-        """Do the work of an iteration at `size` px without learning from it: for a measure of the time."""
+        """Do the work of an iteration at `size` px without changing the weights, to measure its time."""
         state = self._rng.bit_generator.state
         count = min(self.preset.batch, len(self.targets))
         self._descend(np.linspace(0, len(self.targets) - 1, count).astype(int).tolist(), size)
@@ -202,7 +205,7 @@ class Optimiser:
         return weights if self._movable is None else torch.where(self._movable, weights, self.field.initial())
 
     def _descend(self, batch: Sequence[int], size: int) -> dict[str, float]:
-        """The gradient of the loss on the targets `batch`, into the field; returns the parts of the loss."""
+        """Backpropagate the loss on the targets `batch` into the field; returns the parts of the loss."""
         transforms = np.stack([self.targets[i].transforms for i in batch])
         weights = self._weights()
         if self._device_renderer is not None:
@@ -220,7 +223,7 @@ class Optimiser:
             parts["coupling"] = coupling_loss(self._coupling, nodes, transforms)
             loss = loss + self.losses.coupling * parts["coupling"]
         if self.losses.anchor:
-            parts["anchor"] = self._anchor.loss(weights, self._rng)
+            parts["anchor"] = self._prior_loss.loss(weights, self._rng)
             loss = loss + self.losses.anchor * parts["anchor"]
         self._adam.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]

@@ -14,7 +14,7 @@ import torch
 from numba import float32, njit
 from numpy.typing import NDArray
 
-from ..render.cpu.threads import row_ranges, spread
+from ..render.cpu.threads import parallel_for, row_ranges
 from ..render.cpu.vec8 import broadcast, fma, load, store
 from ..rig.lbs import nearest_rotation
 from ..rig.quaternion import matrix_to_quat
@@ -142,7 +142,7 @@ class _Pose(torch.autograd.Function):
         blend = np.empty((count, turns.shape[-1]), np.float32)
         ctx.known = means, quats, w, poses
         ctx.kept = table, turns, out_quats, blend
-        spread(_forward, row_ranges(count), *ctx.known, table.ravel(), turns.ravel(), out_means, out_quats, blend)
+        parallel_for(_forward, row_ranges(count), *ctx.known, table.ravel(), turns.ravel(), out_means, out_quats, blend)
         return torch.from_numpy(out_means), torch.from_numpy(out_quats)
 
     @staticmethod
@@ -151,7 +151,7 @@ class _Pose(torch.autograd.Function):
         out = np.empty(ctx.known[2].shape, np.float32)
         gm, gq = (np.ascontiguousarray(grad.numpy()) for grad in (grad_means, grad_quats))
         table, turns = (_padded(a.swapaxes(-1, -2)).ravel() for a in (table, turns))
-        spread(_backward, row_ranges(len(out)), *ctx.known, table, turns, posed, blend, gm, gq, out)
+        parallel_for(_backward, row_ranges(len(out)), *ctx.known, table, turns, posed, blend, gm, gq, out)
         return torch.from_numpy(out), None, None, None
 
 

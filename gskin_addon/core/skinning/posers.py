@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How weights move splats during optimisation: each splat by its own weights, or hung on a proxy mesh.
+"""How weights move splats during optimisation: each splat by its own weights, or anchored to a proxy mesh.
 
 A poser takes the weights of its nodes (the splats, or the mesh's vertices). The regularisers act on the nodes
 too: the paper's x_j, with the K_1 nearest splats as neighbours or the mesh's own edges (Eq. 10).
@@ -36,7 +36,8 @@ class Posed:
 
 
 class Poser(Protocol):
-    """nodes (M, 3) float32: rest positions of what has weights; neighbours (M, K): see `mesh_neighbours`."""
+    """nodes (M, 3) float32: rest positions of the nodes, which have the weights; neighbours (M, K): see
+    `mesh_neighbours`."""
 
     nodes: NDArray[np.float32]
     neighbours: NDArray[np.int64]
@@ -67,8 +68,8 @@ class AnchoredPoser:
 
     The vertices' rotations come from the one-ring maps T_v (see `rig.vertex_maps`) and are blended as quaternions
     with the barycentrics; that is the rotation of the blended matrices to second order in how much the
-    triangle's vertices differ. The shear S_v does not reach the renderer during optimisation, whose splats
-    keep their scales; results are posed with it.
+    triangle's vertices differ. The shear S_v is left out of the renders during optimisation, in which splats keep their
+    scales; results are posed with it.
     """
 
     def __init__(
@@ -79,7 +80,7 @@ class AnchoredPoser:
         faces: NDArray[Any],
         neighbours: int = NEIGHBOURS,
     ) -> None:
-        """cloud: N splats; anchors: where they hang on the mesh verts (V, 3), faces (F, 3)."""
+        """cloud: N splats; anchors: of the splats on the mesh with verts (V, 3), faces (F, 3)."""
         self.nodes = np.asarray(verts, np.float32)
         self.neighbours = mesh_neighbours(len(verts), faces, neighbours)
         self._quats = torch.from_numpy(cloud.quats)
@@ -118,7 +119,7 @@ class AnchoredPoser:
         return Posed(means, quats, posed)
 
     def _vertex_quats(self, corner: torch.Tensor, normal: torch.Tensor, skinned: torch.Tensor) -> torch.Tensor:
-        """Quaternions (P, V, 4) of R_v; where a ring is turned inside out, those of the bones (P, V, 4)."""
+        """Quaternions (P, V, 4) of R_v; where a ring is inverted, those of the bones (P, V, 4)."""
         poses = len(corner)
         to_next, to_last = corner.roll(-1, 2) - corner, corner.roll(1, 2) - corner
         seen = torch.stack([to_next, to_last, normal[:, :, None].expand_as(to_next)], dim=3)
@@ -187,8 +188,8 @@ def _rows_first(values: torch.Tensor) -> torch.Tensor:
 def polar_rotation(maps: torch.Tensor) -> torch.Tensor:
     """The rotation of each linear map (..., 3, 3) of positive determinant, differentiable.
 
-    Newton's iteration X <- (X + X^-T) / 2 (Higham 1986), X^-T by cross products; it doubles its digits each
-    time, and begins at unit determinant.
+    Newton's iteration X <- (X + X^-T) / 2 (Higham 1986), X^-T by cross products; it converges quadratically and starts
+    at unit determinant.
     """
     x = maps / torch.linalg.det(maps).clamp_min(_SMALLEST).pow(1 / 3)[..., None, None]
     for _ in range(_POLAR_STEPS):

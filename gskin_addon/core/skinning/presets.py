@@ -12,13 +12,13 @@ from .fields import DEFAULT_FIELD
 
 @dataclass(frozen=True)
 class Preset:
-    """How much guidance to make and how long to learn from it.
+    """How many guidance images to make and how long to learn from them.
 
     stages: (image size in pixels, iterations), coarse to fine; batch: images per iteration.
     poses_per_view: guidance images for each of the four views of the paper.
     field: a name in WEIGHT_FIELDS; learning_rate: of its logits.
-    held_out: further images per view that learning never sees; the loss on them is taken about every tenth of the
-    run, the best weights are kept, and `patience` checks without progress end the run (0: never).
+    held_out: further images per view, not used for learning; the loss on them is computed at every tenth of the run,
+    the best weights are kept, and `patience` checks without progress end the run (0: never).
     """
 
     description: str
@@ -54,7 +54,7 @@ def preset_by_name(name: str) -> Preset:
     """The preset called `name`.
 
     Raises:
-        InputError: there is none of that name.
+        InputError: there is no such preset.
     """
     if name not in PRESETS:
         raise InputError(f"There is no preset '{name}': choose one of {', '.join(PRESETS)}.")

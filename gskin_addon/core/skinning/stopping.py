@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""When to end: poses that training never sees stop looking better."""
+"""Early stopping: when the loss on held-out poses stops falling."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 from typing import Any
 
 ENOUGH = 0.005
-"""Part by which the loss must fall to count as better for the patience."""
+"""Relative decrease of the loss that counts as progress."""
 
 
 @dataclass
 class EarlyStop:
     """Follows the held-out loss. patience: checks in a row without progress that end the run, 0 for never.
 
-    reason: why to end, empty to go on; best, best_at: the lowest loss and its iteration.
+    reason: why to stop, empty to continue; best, best_at: the lowest loss and its iteration.
     """
 
     patience: int
@@ -26,9 +26,8 @@ class EarlyStop:
     _waited: int = 0
 
     def add(self, iteration: int, loss: float, *, counts: bool = True) -> bool:
-        """Take in the loss after so many iterations; True where it is the lowest so far.
-
-        `counts=False` is for stages whose end is not the end of learning: they try nobody's patience.
+        """Record the loss after so many iterations; True if it is the lowest so far. `counts=False` is for stages
+        before the last, in which a lack of progress does not end the run.
         """
         self.history.append((iteration, loss))
         better = loss < self.best
@@ -50,5 +49,5 @@ class EarlyStop:
         return dict(vars(self), history=list(self.history))
 
     def restore(self, state: dict[str, Any]) -> None:
-        """Go on from a `state`."""
+        """Continue from a `state`."""
         vars(self).update(state, history=list(state["history"]))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Large clouds: learn on a part of the splats, then ask the field about the rest."""
+"""Large clouds: learn on some of the splats, then query the field for the others."""
 
 from __future__ import annotations
 
@@ -10,16 +10,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..render.cpu.backend import morton_order
+from ..rig.nearest_points import nearest_points
 from ..splats.cloud import SplatCloud
-from .fields.base import LOG_FLOOR
+from ..splats.morton import morton_order
+from .fields import LOG_FLOOR
+from .walls import nearest_open
 
 LIMIT = 150_000
 NEIGHBOURS = 4
 HIDDEN = 0.25
-"""How much a splat that no view sees at rest counts for: poses may bring it to light."""
+"""Factor on the chance of a splat that no view sees at rest: a pose may reveal it."""
 LARGEST = 3.0
-"""Most that a splat is enlarged to stand for the ones left out."""
+"""Largest factor by which a splat is enlarged to cover for those left out."""
 _CHUNK = 50_000
 
 Query = Callable[[NDArray[Any]], tuple[NDArray[np.float32], NDArray[np.bool_]] | None]
@@ -34,7 +36,7 @@ class SplatSubset:
     cloud: SplatCloud
     whole: SplatCloud
 
-    def spread(
+    def to_all_splats(
         self,
         learned: NDArray[np.float32],
         initial: NDArray[np.float32],
@@ -51,12 +53,9 @@ class SplatSubset:
         out[self.index] = learned
         if len(self.index) == self.whole.count:
             return out
-        from scipy.spatial import cKDTree
-
         rest = np.ones(self.whole.count, bool)
         rest[self.index] = False
         others = np.flatnonzero(rest)
-        tree = cKDTree(self.cloud.means)
         for first in range(0, len(others), _CHUNK):
             part = others[first : first + _CHUNK]
             points = self.whole.means[part]
@@ -65,7 +64,7 @@ class SplatSubset:
                 found = np.zeros((len(part), out.shape[1]), np.float32), np.zeros(len(part), bool)
             change, known = found
             lost = np.flatnonzero(~known)
-            distance, near = tree.query(points[lost], NEIGHBOURS)
+            distance, near = nearest_points(self.cloud.means, points[lost], NEIGHBOURS)
             share = 1.0 / np.maximum(distance, 1e-9)
             share = (share / share.sum(1, keepdims=True)).astype(np.float32)
             change[lost] = 0.0
@@ -81,16 +80,18 @@ class SplatSubset:
 
 
 def follow_nearest(
-    means: NDArray[np.float32], weights: NDArray[np.float32], ignored: NDArray[np.bool_]
+    means: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    ignored: NDArray[np.bool_],
+    walls: NDArray[Any] | None = None,
 ) -> NDArray[np.float32]:
-    """Weights (N, B) in which the `ignored` splats (N,) move as the nearest of the others does; changed in place."""
+    """Weights (N, B) in which each `ignored` splat (N,) gets those of the nearest other splat that no wall (N,)
+    separates from it; changed in place."""
     if not ignored.any():
         return weights
-    from scipy.spatial import cKDTree
-
-    others = np.flatnonzero(~ignored)
-    near = others[cKDTree(means[others]).query(means[ignored])[1]]
-    weights[ignored] = weights[near]
+    others, strays = np.flatnonzero(~ignored), np.flatnonzero(ignored)
+    labels, own = (None, None) if walls is None else (walls[others], walls[strays])
+    weights[strays] = weights[others[nearest_open(means[others], means[strays], labels, own)[1]]]
     return weights
 
 
@@ -100,15 +101,14 @@ def choose_subset(
     limit: int | None = None,
     *,
     ignored: NDArray[np.bool_] | None = None,
-    seen: Callable[[], NDArray[Any]] | None = None,
+    visible: Callable[[], NDArray[Any]] | None = None,
 ) -> SplatSubset:
-    """All splats but the `ignored` (N,), or about `limit` (`LIMIT`) of them that stand for the rest.
+    """All splats but the `ignored` (N,), or about `limit` (default `LIMIT`) that represent them.
 
-    A splat is taken with a probability by the root of its opacity times its area, and less if `seen` (called
-    where needed; (N,) True for those that show in some view) says that it is hidden. It is enlarged by the root of
-    1 / probability, so that the surface stays as covered as it was. They are drawn at even steps along a
-    Morton curve, which spreads them, and come in its order: what is near in space is near in memory, which the
-    kernels like.
+    A splat is taken with a probability proportional to the root of its opacity times its area, and less if `visible`
+    (called if needed; (N,) True for those that show in some view) says that it is hidden. It is enlarged by the root of
+    1 / probability, so that the surface stays covered. Splats are drawn at even steps along a Morton curve, which
+    distributes them evenly, and keep its order: neighbours in space are neighbours in memory, for the kernels' cache.
     """
     limit = LIMIT if limit is None else limit
     index = np.arange(cloud.count) if ignored is None else np.flatnonzero(~ignored)
@@ -117,8 +117,8 @@ def choose_subset(
         return SplatSubset(index, cloud.select(index), cloud)
     ordered = np.sort(cloud.scales[index].astype(np.float64), axis=1)
     value = np.sqrt(ordered[:, 1] * ordered[:, 2] * cloud.opacities[index]) + 1e-12
-    if seen is not None:
-        value *= np.where(np.asarray(seen())[index], 1.0, HIDDEN)
+    if visible is not None:
+        value *= np.where(np.asarray(visible())[index], 1.0, HIDDEN)
     chance = inclusion(value, limit)
     ends = np.cumsum(chance)
     steps = np.random.default_rng(seed).random() + np.arange(int(ends[-1] + 0.5))

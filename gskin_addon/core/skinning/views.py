@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The guidance images as the optimiser compares with them: scenes per view, without the splats nobody sees."""
+"""Comparison of renders with the guidance images: one scene per view, without the hidden splats."""
 
 from __future__ import annotations
 
@@ -21,13 +21,14 @@ from .device_renderer import Views
 
 Array = NDArray[np.float32]
 
-SEEN = 0.005
-"""Blending weight that a splat must reach in a view, at `LOOK` px, to be rendered in it: about 0.01 at 512 px.
+VISIBLE_WEIGHT = 0.005
+"""Blending weight that a splat must reach in a view, at `VISIBILITY_SIZE` px, to be rendered in it: about 0.01 at
+512 px.
 
-On a made-up figure (20,000 splats, 40 iterations) 0.01 raises the final error of the weights by 1.0 to 1.3 %, this
+On a synthetic figure (20,000 splats, 40 iterations) 0.01 raises the final error of the weights by 1.0 to 1.3 %, this
 value by 0.2 to 0.7 %."""
-LOOK = 256
-"""Pixels of the renders that look for what is seen."""
+VISIBILITY_SIZE = 256
+"""Side in pixels of the renders that find the visible splats."""
 _CHUNK = 8
 
 
@@ -60,7 +61,7 @@ class GuidanceViews:
         keys = [t.camera.rotation.tobytes() + t.camera.translation.tobytes() for t in targets]
         order = {key: number for number, key in enumerate(dict.fromkeys(keys))}
         self.view = [order[key] for key in keys]
-        self.seen: list[NDArray[np.bool_] | None] = [None] * len(order)
+        self.visible: list[NDArray[np.bool_] | None] = [None] * len(order)
         self._scenes: dict[tuple[int, int, bool], Scene] = {}
         self._losses: dict[tuple[int, int], PhotometricLoss] = {}
 
@@ -71,7 +72,7 @@ class GuidanceViews:
         quats (P, N, 4); zero for splats that the target's view does not see."""
         slots = range(len(batch))
         scenes = [self.scene(index, size) for index in batch]
-        keep = [self.seen[self.view[index]] for index in batch]
+        keep = [self.visible[self.view[index]] for index in batch]
         parts = [
             (means[p], quats[p]) if k is None else (means[p, k], quats[p, k])
             for p, k in zip(slots, keep, strict=True)
@@ -94,13 +95,13 @@ class GuidanceViews:
         frame = scene.forward(means, quats, self.targets[index].camera.resized(size), self._background)
         return self._loss(index, size)(frame.image, frame.alpha)[0]
 
-    def look(self, pose: Callable[[NDArray[np.float64]], tuple[Array, Array]], size: int) -> None:
-        """Find anew which splats each view sees in any of its poses.
+    def update_visible(self, pose: Callable[[NDArray[np.float64]], tuple[Array, Array]], size: int) -> None:
+        """Find out again which splats each view sees in any of its poses.
 
-        pose: transforms (P, B, 4, 4) -> means (P, N, 3), quats (P, N, 4) with the present weights.
+        pose: transforms (P, B, 4, 4) -> means (P, N, 3), quats (P, N, 4) with the current weights.
         """
-        size = min(size, LOOK)
-        most = np.zeros((len(self.seen), self._cloud.count), np.float32)
+        size = min(size, VISIBILITY_SIZE)
+        most = np.zeros((len(self.visible), self._cloud.count), np.float32)
         for first in range(0, len(self.targets), _CHUNK):
             chunk = range(first, min(first + _CHUNK, len(self.targets)))
             means, quats = pose(np.stack([self.targets[index].transforms for index in chunk]))
@@ -109,15 +110,15 @@ class GuidanceViews:
                 weight = scene.contribution(m, q, self.targets[index].camera.resized(size))
                 view = self.view[index]
                 np.maximum(most[view], weight, out=most[view])
-        self.set_seen(list(most > SEEN))
+        self.set_visible(list(most > VISIBLE_WEIGHT))
 
-    def set_seen(self, seen: Sequence[NDArray[np.bool_] | None]) -> None:
+    def set_visible(self, visible: Sequence[NDArray[np.bool_] | None]) -> None:
         """Take masks (N,) for the views; None renders all splats."""
-        self.seen = [None if mask is None or mask.all() else mask for mask in seen]
+        self.visible = [None if mask is None or mask.all() else mask for mask in visible]
         self._scenes = {key: scene for key, scene in self._scenes.items() if key[2]}
 
     def by_scene(self, batch: Sequence[int], size: int) -> list[Views]:
-        """The targets `batch` by the scene that they share; nothing is left out of it."""
+        """The targets `batch` by the scene that they share; with all splats, the hidden ones too."""
         found: dict[int, Views] = {}
         for slot, index in enumerate(batch):
             scene = self.scene(index, size, whole=True)
@@ -130,7 +131,7 @@ class GuidanceViews:
     def scene(self, index: int, size: int, *, whole: bool = False) -> Scene:
         """The splats as a target's camera sees them at rest; their colours are constants of the optimisation."""
         view = self.view[index]
-        mask = None if whole else self.seen[view]
+        mask = None if whole else self.visible[view]
         cloud, camera = self._cloud, self.targets[index].camera
         flat = mask is None and cloud.sh_degree == 0  # the same from everywhere
         key = (-1 if flat else view, size, mask is None)
@@ -149,7 +150,7 @@ class GuidanceViews:
         return self._scenes[key]
 
     def _loss(self, index: int, size: int) -> PhotometricLoss:
-        """The loss of a guidance image, kept while `size` lasts."""
+        """The loss of a guidance image, cached while `size` stays the same."""
         key = (index, size)
         if key not in self._losses:
             self._losses = {k: loss for k, loss in self._losses.items() if k[1] == size}
@@ -162,7 +163,7 @@ class GuidanceViews:
 
 
 def shrink(image: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
-    """An image (H, H, 3) at `size` px, as blurred as a render of that size is.
+    """An image (H, H, 3) at `size` px, as blurred as a render of that size.
 
     Both renders add `DILATION` px^2 of their own pixels to every splat, so the smaller one is wider by the
     difference; an average over blocks would be sharper than it, and learning from that is biased.

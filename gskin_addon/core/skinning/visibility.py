@@ -1,33 +1,36 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which bones a splat can see: the paper's silhouette test, compiled with numba."""
+"""Which bones a splat can see: the paper's silhouette test, in numpy alone."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
+from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numba import njit, prange
 from numpy.typing import NDArray
 
 from ..render.camera import Camera
+from ..rig.segments import closest_on_segment
 from ..rig.skeleton import Skeleton
+from ..ticks import Tick, cores, silent, work
 
 Array = NDArray[Any]
 
 MAX_SAMPLES = 32
+_THREADS = 2
+_POINTS = 2048  # at a time: small enough for the processor's cache
 
 
 def bone_visibility(
-    means: Array, skeleton: Skeleton, masks: Array, cameras: Sequence[Camera], *, slack: int = 1
+    means: Array, skeleton: Skeleton, masks: Array, cameras: Sequence[Camera], *, slack: int = 1, tick: Tick = silent
 ) -> tuple[Array, Array]:
-    """Squared distance to every bone, and whether the way there stays inside the object.
+    """Squared distance to every bone, and whether the straight line to it stays inside the object.
 
     The segment from a splat to its closest point on a bone is projected into each view; where it leaves the
     object mask the two do not see each other. It is sampled at every second pixel, at most 32 times. A view
-    in which the splat itself lies outside the mask (a stray, or too faint to be drawn) says nothing and is
-    skipped.
+    in which the splat itself lies outside the mask (a stray, or too faint to be drawn) is skipped.
 
     means (N, 3); masks (V, H, W) bool, one per camera, of that camera's size; `slack` pixels are added to
     each mask for the silhouette's aliasing. Returns squared distances (N, B) float64 in square metres and
@@ -39,19 +42,27 @@ def bone_visibility(
     for camera in cameras:
         if (camera.height, camera.width) != masks.shape[1:]:
             raise ValueError(f"masks are {masks.shape[1:]}, a camera is {(camera.height, camera.width)}")
-    projections = np.array([projection_matrix(camera) for camera in cameras])
+    masks = grow_masks(masks, slack)
+    projections = [projection_matrix(camera) for camera in cameras]
     squared = np.empty((len(means), skeleton.count))
     visible = np.empty((len(means), skeleton.count), dtype=np.bool_)
-    _visibility_kernel(
-        np.ascontiguousarray(means, dtype=np.float64),
-        np.ascontiguousarray(skeleton.heads),
-        np.ascontiguousarray(skeleton.tails),
-        projections.reshape(-1, 3, 4),
-        grow_masks(masks, slack).astype(np.uint8),
-        _bit_reversed(MAX_SAMPLES),
-        squared,
-        visible,
-    )
+
+    def some(begin: int, end: int, tick: Tick) -> None:
+        for first in range(begin, end, _POINTS):
+            rows = slice(first, min(first + _POINTS, end))
+            points = np.asarray(means[rows], np.float64)
+            bones = zip(skeleton.heads, skeleton.tails, strict=True)
+            ends = np.stack([closest_on_segment(points, head, tail) for head, tail in bones], axis=1)
+            squared[rows] = np.square(points[:, None] - ends).sum(axis=2)
+            sees = np.ones(ends.shape[:2], bool)
+            for projection, mask in zip(projections, masks, strict=True):
+                _look(points, ends, projection, mask, sees)
+            visible[rows] = sees
+            tick((rows.stop - begin) / (end - begin))
+
+    threads = min(_THREADS, cores())
+    cuts = np.linspace(0, len(means), threads + 1).astype(int).tolist()
+    work([partial(some, begin, end) for begin, end in pairwise(cuts) if end > begin], tick, threads)
     return squared, visible
 
 
@@ -62,7 +73,7 @@ def projection_matrix(camera: Camera) -> Array:
 
 
 def grow_masks(masks: Array, pixels: int) -> Array:
-    """Masks (V, H, W) bool grown by `pixels` in the four directions, that many times."""
+    """Masks (V, H, W) bool grown by `pixels` in the four axis directions."""
     for _ in range(pixels):
         grown = masks.copy()
         grown[:, 1:] |= masks[:, :-1]
@@ -82,61 +93,43 @@ def _bit_reversed(count: int) -> Array:
     return np.array([1 - int(f"{i:0{bits}b}"[::-1], 2) / count for i in range(count)])
 
 
-@njit(inline="always")
-def closest_on_segment(p, a, ab, length2):  # type: ignore[no-untyped-def]
-    """Parameter t in [0, 1] of the point of a + t ab that is closest to p."""
-    t = ((p[0] - a[0]) * ab[0] + (p[1] - a[1]) * ab[1] + (p[2] - a[2]) * ab[2]) / length2
-    return min(1.0, max(0.0, t))
+def _look(points: Array, ends: Array, projection: Array, mask: Array, sees: Array) -> None:
+    """sees (N, B) becomes False where the line from points (N, 3) to ends (N, B, 3) leaves the mask (H, W)."""
+    height, width = mask.shape
+    # An empty border: points outside the image are moved onto it.
+    framed = np.pad(mask, 1).ravel()
+
+    def inside(u: Array, v: Array) -> Array:
+        i = np.minimum(np.maximum(v + 1, 0), height + 1).astype(np.int32)
+        j = np.minimum(np.maximum(u + 1, 0), width + 1).astype(np.int32)
+        return framed[i * (width + 2) + j]
+
+    u0, v0, z0 = _project(points, projection)
+    usable = z0 > 0
+    usable[usable] = inside(u0[usable], v0[usable])
+    n, b = np.nonzero(sees & usable[:, None])
+    u1, v1, z1 = _project(ends[n, b], projection)
+    sees[n[z1 <= 0], b[z1 <= 0]] = False
+    front = z1 > 0
+    n, b = n[front], b[front]
+    u0, v0 = u0[n], v0[n]
+    du, dv = u1[front] - u0, v1[front] - v0
+    wanted = 0.5 * np.sqrt(du * du + dv * dv)
+    fractions = _bit_reversed(MAX_SAMPLES)
+    done, samples = 0, 1
+    while len(n):
+        part = fractions[done:samples]
+        held = inside(u0[:, None] + part * du[:, None], v0[:, None] + part * dv[:, None]).all(axis=1)
+        sees[n[~held], b[~held]] = False
+        on = held & (wanted > samples)
+        if samples == MAX_SAMPLES:
+            break
+        done, samples = samples, 2 * samples
+        n, b, u0, v0, du, dv, wanted = (a[on] for a in (n, b, u0, v0, du, dv, wanted))
 
 
-@njit(parallel=True, cache=True)
-def _visibility_kernel(means, heads, tails, projections, masks, fractions, squared, visible):  # type: ignore[no-untyped-def]
-    views, height, width = masks.shape
-    bones = len(heads)
-    for n in prange(len(means)):
-        p = means[n]
-        u0, v0 = np.empty(views), np.empty(views)
-        usable = np.zeros(views, dtype=np.bool_)
-        for c in range(views):
-            m = projections[c]
-            z = m[2, 0] * p[0] + m[2, 1] * p[1] + m[2, 2] * p[2] + m[2, 3]
-            if z <= 0:
-                continue
-            u0[c] = (m[0, 0] * p[0] + m[0, 1] * p[1] + m[0, 2] * p[2] + m[0, 3]) / z
-            v0[c] = (m[1, 0] * p[0] + m[1, 1] * p[1] + m[1, 2] * p[2] + m[1, 3]) / z
-            i, j = math.floor(v0[c]), math.floor(u0[c])
-            usable[c] = 0 <= i < height and 0 <= j < width and masks[c, i, j] != 0
-        q = np.empty(3)
-        for b in range(bones):
-            ab = tails[b] - heads[b]
-            length2 = max(ab[0] * ab[0] + ab[1] * ab[1] + ab[2] * ab[2], 1e-300)
-            t = closest_on_segment(p, heads[b], ab, length2)
-            total = 0.0
-            for k in range(3):
-                q[k] = heads[b, k] + t * ab[k]
-                total += (p[k] - q[k]) ** 2
-            squared[n, b] = total
-            sees = True
-            for c in range(views):
-                if not usable[c]:
-                    continue
-                m = projections[c]
-                z = m[2, 0] * q[0] + m[2, 1] * q[1] + m[2, 2] * q[2] + m[2, 3]
-                if z <= 0:
-                    sees = False
-                    break
-                du = (m[0, 0] * q[0] + m[0, 1] * q[1] + m[0, 2] * q[2] + m[0, 3]) / z - u0[c]
-                dv = (m[1, 0] * q[0] + m[1, 1] * q[1] + m[1, 2] * q[2] + m[1, 3]) / z - v0[c]
-                wanted = 0.5 * math.sqrt(du * du + dv * dv)
-                samples = 1
-                while samples < wanted and samples < len(fractions):
-                    samples *= 2
-                for s in range(samples):
-                    i = math.floor(v0[c] + fractions[s] * dv)
-                    j = math.floor(u0[c] + fractions[s] * du)
-                    if i < 0 or i >= height or j < 0 or j >= width or masks[c, i, j] == 0:
-                        sees = False
-                        break
-                if not sees:
-                    break
-            visible[n, b] = sees
+def _project(points: Array, projection: Array) -> tuple[Array, Array, Array]:
+    """Pixels u, v and depth z (N,) of points (N, 3); pixels mean nothing where z is not positive."""
+    u, v, z = projection[:, :3] @ points.T + projection[:, 3:]
+    safe = np.where(z > 0, z, 1.0)
+    return u / safe, v / safe, z

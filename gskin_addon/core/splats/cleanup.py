@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from .cloud import SplatCloud
+from .components import connected_components
 
 Mask = NDArray[np.bool_]
 
@@ -46,7 +47,7 @@ def find_strays(
     around = number + np.bincount(first, number[second], len(keys)) + np.bincount(second, number[first], len(keys))
     dense = around >= crowd
     linked = dense[first] & dense[second]
-    label = _components(len(keys), first[linked], second[linked])
+    label = connected_components(len(keys), first[linked], second[linked])
     amount = np.bincount(label[dense], number[dense], len(keys))
     kept = dense & (amount[label] >= min(share * cloud.count, amount.max()))
     if not kept.any():  # so few splats that none has company
@@ -115,8 +116,8 @@ def isotropic(cloud: SplatCloud) -> SplatCloud:
 
 
 @dataclass(frozen=True)
-class Hygiene:
-    """What to do before skinning.
+class Cleanup:
+    """What to do with bad splats before skinning. In jobs and reports its key is "hygiene".
 
     ignore_strays, ignore_faint_giants: learn without them; they get the weights of the nearest other splat.
     max_aspect: learn with needles clamped to it, 0 for as they are; isotropic: learn with balls.
@@ -128,7 +129,7 @@ class Hygiene:
     isotropic: bool = False
 
     @classmethod
-    def parse(cls, values: Mapping[str, Any]) -> Hygiene:
+    def parse(cls, values: Mapping[str, Any]) -> Cleanup:
         """From a job's table. Raises InputError: an unknown name, or a value that is not allowed."""
         known = [f.name for f in fields(cls)]
         unknown = sorted(set(values) - set(known))
@@ -185,18 +186,3 @@ def _adjacent_cells(keys: NDArray[np.int64], size: NDArray[np.int64]) -> tuple[N
             first = np.flatnonzero(keys[at] == keys + step)
             pairs.append((first, at[first]))
     return np.concatenate([a for a, _ in pairs]), np.concatenate([b for _, b in pairs])
-
-
-def _components(count: int, first: NDArray[np.int64], second: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Label (count,) of the connected component of every node: its smallest node."""
-    label = np.arange(count)
-    while True:
-        low = np.minimum(label[first], label[second])
-        before = label.copy()
-        # Hook the roots of both ends under the smaller label, then let everyone point at their root.
-        np.minimum.at(label, before[first], low)
-        np.minimum.at(label, before[second], low)
-        while not np.array_equal(label, label[label]):
-            label = label[label]
-        if np.array_equal(label, before):
-            return label

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Splats as the vertex attributes of a glTF primitive (KHR_gaussian_splatting) and back."""
+"""Splats as the vertex attributes of a glTF primitive (KHR_gaussian_splatting)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .axes import up_rotation
-from .cloud import AnyArray, Floats, SplatCloud
+from .cloud import Floats, SplatCloud
 
 EXTENSION_NAME = "KHR_gaussian_splatting"
 MAX_GLTF_SH_DEGREE = 3
@@ -61,22 +61,6 @@ def encode_attributes(cloud: SplatCloud) -> dict[str, Floats]:
     for index in range(count):
         attributes[sh_attribute(index)] = np.ascontiguousarray(cloud.sh[:, index])
     return attributes
-
-
-def decode_attributes(positions: Floats, attributes: Mapping[str, AnyArray]) -> SplatCloud:
-    """The cloud of attributes as `encode_attributes` makes them; KeyError where a required one is missing."""
-    coefficients: list[AnyArray] = []
-    while sh_attribute(len(coefficients)) in attributes:
-        coefficients.append(attributes[sh_attribute(len(coefficients))])
-    if not coefficients:
-        raise KeyError(sh_attribute(0))
-    return SplatCloud(
-        means=positions,
-        quats=np.roll(attributes[f"{EXTENSION_NAME}:ROTATION"], 1, axis=1),
-        scales=attributes[f"{EXTENSION_NAME}:SCALE"],
-        opacities=attributes[f"{EXTENSION_NAME}:OPACITY"],
-        sh=np.stack(coefficients, axis=1),
-    )
 
 
 def fallback_color(cloud: SplatCloud) -> NDArray[np.uint16]:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -15,7 +14,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import GSkinError, InputError
+from ..errors import InputError
+from ..files import write_atomically
 from . import ply_codec as codec
 from .cloud import AnyArray, SplatCloud
 from .ply_compressed import is_compressed, read_compressed
@@ -70,7 +70,8 @@ def read_ply(path: str | os.PathLike[str], *, drop_invalid: bool = False) -> Ply
     if bad and not drop_invalid:
         raise InputError(
             f"{path}: {bad} of {total} splats have {_INVALID}; "
-            "read it with drop_invalid=True (--drop-invalid) to leave them out."
+            "read it with Drop Invalid Splats to leave them out.",
+            shell="drop_invalid=True, --drop-invalid",
         )
     if bad:
         return PlySplats(cloud.select(valid), np.flatnonzero(valid), total)
@@ -90,20 +91,14 @@ def write_ply(path: str | os.PathLike[str], cloud: SplatCloud, *, fmt: str = "bi
         raise InputError(f"{path}: there are no splats to write; select at least one.")
     rest = 3 * (cloud.sh.shape[1] - 1)
     dtype = _file_dtype(cloud, rest, FORMATS[fmt])
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with temporary.open("wb") as file:
-            file.write(format_header(fmt, cloud.count, dtype))
-            for start in range(0, cloud.count, _CHUNK):
-                rows = slice(start, min(start + _CHUNK, cloud.count))
-                _write_rows(file, _encode(cloud, rows, rest, dtype), ascii_text=fmt == "ascii")
-        os.replace(temporary, path)
-    except OSError as error:
-        reason = error.strerror or error
-        raise GSkinError(f"{path} cannot be written ({reason}); check the folder and free space.") from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink()
+
+    def write(file: BinaryIO) -> None:
+        file.write(format_header(fmt, cloud.count, dtype))
+        for start in range(0, cloud.count, _CHUNK):
+            rows = slice(start, min(start + _CHUNK, cloud.count))
+            _write_rows(file, _encode(cloud, rows, rest, dtype), ascii_text=fmt == "ascii")
+
+    write_atomically(path, write)
 
 
 def _splat_element(header: Header, path: Path) -> tuple[Element, int]:

@@ -116,19 +116,19 @@ def _unorm(word: NDArray[Any], shift: int, bits: int) -> Values:
 def _decode(packed: AnyArray, ranges: AnyArray, cloud: SplatCloud, rows: slice) -> NDArray[np.bool_]:
     """Fill `rows` of the cloud from packed words and the ranges of each word's chunk."""
 
-    def spread(name: str, values: Values) -> Values:
+    def dequantise(name: str, values: Values) -> Values:
         low, high = (ranges[f"{end}_{name}"].astype(np.float64) for end in ("min", "max"))
         return low * (1.0 - values) + high * values
 
     position, scale, color = (packed[f"packed_{name}"] for name in ("position", "scale", "color"))
     with np.errstate(invalid="ignore", over="ignore"):
         for axis, (name, shift, bits) in enumerate((("x", 21, 11), ("y", 11, 10), ("z", 0, 11))):
-            cloud.means[rows, axis] = spread(name, _unorm(position, shift, bits))
-            cloud.scales[rows, axis] = decode_scale(spread(f"scale_{name}", _unorm(scale, shift, bits)))
+            cloud.means[rows, axis] = dequantise(name, _unorm(position, shift, bits))
+            cloud.scales[rows, axis] = decode_scale(dequantise(f"scale_{name}", _unorm(scale, shift, bits)))
         for channel, (name, shift) in enumerate((("r", 24), ("g", 16), ("b", 8))):
             value = _unorm(color, shift, 8)
             if f"min_{name}" in (ranges.dtype.names or ()):  # absent in the first version of the format
-                value = spread(name, value)
+                value = dequantise(name, value)
             cloud.sh[rows, 0, channel] = (value - 0.5) / SH_C0
     cloud.opacities[rows] = _unorm(color, 0, 8)
     cloud.quats[rows] = _unpack_quats(packed["packed_rotation"])

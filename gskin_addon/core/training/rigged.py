@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A rigged mesh, flattened into one npz file, as splats with the artist's weights.
+"""A rigged mesh, flattened into one npz file, and splats on it with the artist's weights.
 
 Arrays of a file, in a Z-up world: verts (V,3), faces (F,3), corner_rgb (F,3,3) uint8, sparse weights w_row, w_col,
-w_val, bone_names, bone_parent, bone_head, bone_tail (B,3), bone_rest (B,4,4), bone_used (B,) and maybe anim_mats
-(A,B,4,4).
+w_val, bone_parent (B,), bone_head, bone_tail (B,3); where known bone_names (B,), bone_rest (B,4,4), bone_used (B,)
+and anim_mats (A,B,4,4).
 """
 
 from __future__ import annotations
 
-import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +16,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..rig.skeleton import Skeleton
+from ..files import read_arrays
+from ..rig.skeleton import Skeleton, parents_first
 from ..splats.cloud import SplatCloud
 from ..splats.from_mesh import sample_mesh
 
-_ARRAYS = ("verts", "faces", "corner_rgb", "w_row", "w_col", "w_val", "bone_names", "bone_parent")
-_RIG = ("bone_head", "bone_tail", "bone_rest", "bone_used")
+_NEEDED = ("verts", "faces", "corner_rgb", "w_row", "w_col", "w_val", "bone_parent", "bone_head", "bone_tail")
+
+
+@dataclass(frozen=True)
+class RiggedMesh:
+    """A rigged mesh: verts (V, 3), faces (F, 3), corner_rgb (F, 3, 3) in [0, 1], weights (V, B) float32; used
+    (B,): the bones that carry weight; clip (A, B, 4, 4): deform transforms of an animation, where there is one."""
+
+    verts: NDArray[Any]
+    faces: NDArray[Any]
+    corner_rgb: NDArray[Any]
+    weights: NDArray[Any]
+    skeleton: Skeleton
+    used: NDArray[Any]
+    clip: NDArray[Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -52,8 +65,49 @@ class RiggedSplats:
     surface: Surface | None = None
 
 
+def read_rigged_mesh(path: Path) -> RiggedMesh:
+    """Read an asset; its bones with parents first, else in the file's order.
+
+    Raises:
+        InputError: the file is missing, damaged, or not of the layout above.
+    """
+    data = _arrays(path)
+    try:
+        verts, parents = data["verts"].astype(np.float64), data["bone_parent"].astype(int)
+        count = len(parents)
+        weights = np.zeros((len(verts), count), np.float32)
+        weights[data["w_row"], data["w_col"]] = data["w_val"]
+        names = tuple(str(name) for name in data.get("bone_names", np.arange(count)))
+        skeleton = Skeleton(names, parents, data["bone_head"], data["bone_tail"], data.get("bone_rest"))  # type: ignore[arg-type]
+        used = data["bone_used"].astype(bool) if "bone_used" in data else weights.max(0) > 0.01
+        order = parents_first(parents)
+        mesh = RiggedMesh(
+            verts, data["faces"], data["corner_rgb"] / 255.0, weights, skeleton, used, data.get("anim_mats")
+        )
+        return with_bones(mesh, order)
+    except (ValueError, IndexError) as error:
+        raise InputError(f"The asset '{path}' is damaged ({error}); leave it out or write it again.") from error
+
+
+def with_bones(mesh: RiggedMesh, order: NDArray[Any]) -> RiggedMesh:
+    """The mesh with the bones `order` (C,) of its own, parents first; a bone hangs on its next kept ancestor."""
+    place = np.full(mesh.skeleton.count, -1)
+    place[order] = np.arange(len(order))
+    parents = []
+    for bone in order:
+        parent = int(mesh.skeleton.parents[bone])
+        while parent >= 0 and place[parent] < 0:
+            parent = int(mesh.skeleton.parents[parent])
+        parents.append(int(place[parent]) if parent >= 0 else -1)
+    old = mesh.skeleton
+    names = tuple(old.names[bone] for bone in order)
+    skeleton = Skeleton(names, np.array(parents, int), old.heads[order], old.tails[order], old.rest[order])
+    clip = None if mesh.clip is None else mesh.clip[:, order]
+    return replace(mesh, weights=mesh.weights[:, order], skeleton=skeleton, used=mesh.used[order], clip=clip)
+
+
 def load_asset(path: Path, count: int, seed: int = 0, *, unused_bones: bool = False) -> RiggedSplats:
-    """Read an asset and cover its surface with `count` splats.
+    """Read an asset and cover its surface with `count` splats; its bones by their depth in the tree.
 
     Bones that carry no weight (control bones) are left out unless `unused_bones`; their children hang on the next
     used ancestor.
@@ -61,53 +115,35 @@ def load_asset(path: Path, count: int, seed: int = 0, *, unused_bones: bool = Fa
     Raises:
         InputError: the file is missing, damaged, or has no surface or no weights.
     """
-    data = _read(path)
-    verts, faces = data["verts"].astype(np.float64), data["faces"]
-    used = np.ones_like(data["bone_used"]) if unused_bones else data["bone_used"]
-    order, parents = _used_bones(used, data["bone_parent"].astype(int))
-    if not order:
+    mesh = read_rigged_mesh(path)
+    chosen = np.ones_like(mesh.used) if unused_bones else mesh.used
+    if not chosen.any():
         raise InputError(f"'{path}' has no bone that carries weights; leave the asset out.")
-    cloud, face, bary = sample_mesh(
-        verts, faces, data["corner_rgb"] / 255.0, count, np.random.default_rng(seed)
-    )
-    vertex_weights = np.zeros((len(verts), len(data["bone_used"])), np.float32)
-    vertex_weights[data["w_row"], data["w_col"]] = data["w_val"]
-    weights = np.einsum("nk,nkb->nb", bary, vertex_weights[:, order][faces[face]])
+    order = np.argsort(_depths(mesh.skeleton), kind="stable")
+    mesh = with_bones(mesh, order[chosen[order]])
+    cloud, face, bary = sample_mesh(mesh.verts, mesh.faces, mesh.corner_rgb, count, np.random.default_rng(seed))
+    weights = np.einsum("nk,nkb->nb", bary, mesh.weights[mesh.faces[face]])
     weights /= np.maximum(weights.sum(1, keepdims=True), 1e-12)
-    skeleton = Skeleton(
-        names=tuple(str(name) for name in data["bone_names"][order]),
-        parents=np.array(parents),
-        heads=data["bone_head"][order].astype(np.float64),
-        tails=data["bone_tail"][order].astype(np.float64),
-        rest=data["bone_rest"][order].astype(np.float64),
-    )
-    clip = data["anim_mats"][:, order].astype(np.float64) if "anim_mats" in data else None
-    surface = Surface(verts, faces.astype(np.int64), face, bary)
-    return RiggedSplats(path.stem, cloud, skeleton, weights.astype(np.float32), clip, surface)
+    clip = None if mesh.clip is None else mesh.clip.astype(np.float64)
+    surface = Surface(mesh.verts, mesh.faces.astype(np.int64), face, bary)
+    return RiggedSplats(path.stem, cloud, mesh.skeleton, weights.astype(np.float32), clip, surface)
 
 
-def _read(path: Path) -> dict[str, NDArray[Any]]:
+def _arrays(path: Path) -> dict[str, NDArray[Any]]:
     try:
-        with np.load(path, allow_pickle=False) as file:
-            data = {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        data = read_arrays(path)
+    except (OSError, ValueError) as error:
         raise InputError(f"The asset '{path}' cannot be read ({error}); leave it out or get it again.") from None
-    missing = [name for name in (*_ARRAYS, *_RIG) if name not in data]
+    missing = [name for name in _NEEDED if name not in data]
     if missing:
         raise InputError(f"The asset '{path}' lacks the array {missing[0]}; leave it out or write it again.")
     return data
 
 
-def _used_bones(used: NDArray[np.bool_], parent: NDArray[np.int64]) -> tuple[list[int], list[int]]:
-    """Used bones, parents first, and the position of each one's next used ancestor (-1 at a root)."""
-
-    def ancestors(bone: int) -> list[int]:
-        line = []
-        while parent[bone] >= 0:
-            bone = int(parent[bone])
-            line.append(bone)
-        return line
-
-    order = sorted(np.flatnonzero(used).tolist(), key=lambda bone: len(ancestors(bone)))
-    position = {bone: i for i, bone in enumerate(order)}
-    return order, [next((position[a] for a in ancestors(b) if a in position), -1) for b in order]
+def _depths(skeleton: Skeleton) -> NDArray[np.int64]:
+    """(B,) how many ancestors each bone has."""
+    depths = np.zeros(skeleton.count, np.int64)
+    for bone, parent in enumerate(skeleton.parents):
+        if parent >= 0:
+            depths[bone] = depths[parent] + 1
+    return depths

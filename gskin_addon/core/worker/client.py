@@ -23,9 +23,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ..errors import Cancelled, GSkinError, InputError
+from ..guidance.consent import with_consent
 from ..job.contract import Result, read_result
 from ..job.progress import ProgressEvent
-from .interpreter import worker_environment
+from .interpreter import VARIABLE, worker_environment
 
 PROGRAM = Path(__file__).with_name("process.py")
 
@@ -33,10 +34,11 @@ State = Literal["new", "running", "done", "failed", "cancelled"]
 
 
 class WorkerError(GSkinError):
-    """The worker failed: its sentence, its traceback (may be empty) and its exit code."""
+    """The worker failed: its sentence (`plain`: without flags), its traceback (may be empty) and its exit code."""
 
-    def __init__(self, sentence: str, traceback: str, exit_code: int) -> None:
+    def __init__(self, sentence: str, traceback: str, exit_code: int, plain: str = "") -> None:
         super().__init__(sentence)
+        self.plain = plain or sentence
         self.traceback = traceback
         self.exit_code = exit_code
 
@@ -52,13 +54,25 @@ class WorkerClient:
     """Seconds after `cancel` at which a worker that is still there is killed."""
 
     def __init__(
-        self, python: str | Path, folder: str | Path, program: Path = PROGRAM, *, gentle: bool = False
+        self,
+        python: str | Path,
+        folder: str | Path,
+        program: Path = PROGRAM,
+        *,
+        isolated: bool = False,
+        gentle: bool = False,
+        allow_download: bool = False,
     ) -> None:
-        """gentle: the worker gives way to other programs, so that a window stays quick while it runs."""
+        """isolated: the worker sees nothing of the user's own Python packages and PYTHON... variables.
+
+        gentle: the worker runs at low priority, so that a window stays responsive meanwhile.
+
+        allow_download: the person agreed, for this run, to fetch models that are missing.
+        """
         self.python, self.folder = Path(python), Path(folder)
-        self._gentle = gentle
+        self._isolated, self._gentle, self._allow_download = isolated, gentle, allow_download
         self.state: State = "new"
-        self.error = ""
+        self.error = self._plain = ""
         self.traceback = ""
         self.exit_code = 0
         self._program = program
@@ -76,7 +90,8 @@ class WorkerClient:
         """
         if self._process is not None:
             raise RuntimeError("a WorkerClient runs once")
-        command = [str(self.python), "-u", str(self._program), str(self.folder)]
+        isolated = ["-I"] if self._isolated else []
+        command = [str(self.python), *isolated, "-u", str(self._program), str(self.folder)]
         flags: int = getattr(subprocess, "CREATE_NO_WINDOW", 0)
         if self._gentle:
             flags |= getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0)
@@ -86,13 +101,14 @@ class WorkerClient:
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
-                env=worker_environment(),
+                env=with_consent(worker_environment(), self._allow_download),
                 creationflags=flags,
             )
         except OSError as error:
             raise InputError(
                 f"The worker's interpreter '{self.python}' cannot be started ({error.strerror}); "
-                "name a Python that has torch in the add-on's preferences (or GSKIN_PYTHON)."
+                "name a Python that has torch in the add-on's preferences.",
+                shell=f"or {VARIABLE}",
             ) from error
         if self._gentle and hasattr(os, "setpriority"):
             # What the worker starts later inherits this.
@@ -107,7 +123,7 @@ class WorkerClient:
         lines.start()
 
     def poll(self) -> list[ProgressEvent]:
-        """What the worker said since the last call; moves `state` on. Never waits."""
+        """The worker's progress since the last call; updates `state`. Never waits."""
         events: list[ProgressEvent] = []
         while True:
             try:
@@ -173,7 +189,7 @@ class WorkerClient:
         if self.state == "cancelled":
             raise Cancelled("The job was cancelled.")
         if self.state == "failed":
-            raise WorkerError(self.error, self.traceback, self.exit_code)
+            raise WorkerError(self.error, self.traceback, self.exit_code, self._plain)
         if self.state != "done":
             raise GSkinError("The job has not ended yet; wait for it.")
         return read_result(self.folder)
@@ -194,13 +210,16 @@ class WorkerClient:
             self.state = "failed"
             self.exit_code = self.exit_code if self.exit_code in (1, 2) else 1
             self.traceback = str(self._final.get("traceback") or self.log)
-            self.error = str(self._final.get("error") or self._unexplained(code))
+            unexplained = self._unexplained(code)
+            self.error = str(self._final.get("error") or unexplained)
+            self._plain = str(self._final.get("plain") or self._final.get("error") or unexplained.plain)
 
-    def _unexplained(self, code: int) -> str:
+    def _unexplained(self, code: int) -> GSkinError:
         last = next((line.strip() for line in reversed(self._log) if line.strip()), "it said nothing")
-        return (
+        return GSkinError(
             f"The worker '{self.python}' ended without a result (exit code {code}): {last}"[:400]
-            + " - check the interpreter in the add-on's preferences (or GSKIN_PYTHON)."
+            + " - check the interpreter in the add-on's preferences.",
+            shell=f"or {VARIABLE}",
         )
 
     def _read_lines(self, process: subprocess.Popen[bytes], log: threading.Thread) -> None:

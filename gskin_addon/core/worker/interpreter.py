@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Finding a Python that has torch, and asking one what it has. Standard library only.
+"""Finding a Python that has torch, and asking one what it has.
 
 `find_worker_python` only looks at files, so menus may call it; `check_python` starts the interpreter.
 """
@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import InputError
+from .runtime_folder import ready_python, runtime_folder
 
 VARIABLE = "GSKIN_PYTHON"
 NEEDED = ("numpy", "scipy", "numba", "torch", "safetensors")
@@ -47,11 +48,12 @@ class PythonReport:
     broken: dict[str, str] = field(default_factory=dict)
     cuda: bool = False
     fault: str = ""
+    needed: tuple[str, ...] = NEEDED
 
     @property
     def missing(self) -> list[str]:
         """Needed modules that are not installed."""
-        return [name for name in NEEDED if name not in self.found and name not in self.broken]
+        return [name for name in self.needed if name not in self.found and name not in self.broken]
 
     @property
     def usable(self) -> bool:
@@ -79,8 +81,8 @@ class PythonReport:
 def find_worker_python(preference: str = "") -> Path | None:
     """The interpreter that shall run jobs, or None.
 
-    In this order: $GSKIN_PYTHON, `preference`, this interpreter if it has torch, the active virtual or conda
-    environment, python3 and python on the PATH. What is named explicitly is taken at its word.
+    In this order: $GSKIN_PYTHON, `preference`, the learning runtime, this interpreter if it has torch, the active
+    virtual or conda environment, python3 and python on the PATH. What is named explicitly is taken at its word.
 
     Raises:
         InputError: $GSKIN_PYTHON or `preference` names a file that is not there or cannot be run.
@@ -88,6 +90,9 @@ def find_worker_python(preference: str = "") -> Path | None:
     for origin, named in ((f"${VARIABLE}", os.environ.get(VARIABLE, "")), ("the preferences", preference)):
         if named.strip():
             return _named(named.strip(), origin)
+    runtime = ready_python(runtime_folder())
+    if runtime is not None:
+        return runtime
     if (
         sys.executable
         and importlib.util.find_spec("torch") is not None
@@ -118,12 +123,12 @@ def has_torch(python: Path) -> bool:
     return False
 
 
-def check_python(python: str | Path, timeout: float = 120.0) -> PythonReport:
-    """Start `python` once and import what a worker needs; takes seconds. Never raises: see `fault`."""
+def check_python(python: str | Path, timeout: float = 120.0, needed: tuple[str, ...] = NEEDED) -> PythonReport:
+    """Start `python` once and import `needed`, what a worker needs; takes seconds. Never raises: see `fault`."""
     python = Path(python).expanduser()
     try:
         answer = subprocess.run(
-            [str(python), "-c", _QUESTION, *NEEDED],
+            [str(python), "-c", _QUESTION, *needed],
             stdin=subprocess.DEVNULL,
             capture_output=True,
             timeout=timeout,
@@ -145,7 +150,7 @@ def check_python(python: str | Path, timeout: float = 120.0) -> PythonReport:
         return PythonReport(
             python, fault=f"'{python}' does not answer like Python; name a Python interpreter."
         )
-    return PythonReport(python, tuple(version), found, broken, cuda)
+    return PythonReport(python, tuple(version), found, broken, cuda, needed=needed)
 
 
 def warm_up(python: str | Path) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The worker's inner process: reads a job, runs the pipeline, writes the answer, and says so line by line."""
+"""The worker's inner process: reads a job, runs the pipeline, writes the result, and reports line by line."""
 
 from __future__ import annotations
 
@@ -20,10 +20,13 @@ from ..job.progress import CancelFlag, Progress
 from . import parent_watch
 
 if TYPE_CHECKING:
+    from ..job.contract import Job
     from ..pipeline.result import SkinResult
 
-MODULES = ("numpy", "scipy", "numba", "torch", "safetensors")
-"""What the interpreter of a worker must have."""
+MODULES = ("numpy",)
+"""Modules that a worker's Python needs for a job that neither renders nor learns."""
+RUNTIME_MODULES = ("numpy", "scipy", "numba", "torch", "safetensors")
+"""Modules that it needs for the others; see `JobSettings.needs_runtime`."""
 
 _LAST_RESORT = 2.0
 """Seconds after which a cancelled process ends whatever it is doing, should its supervisor be gone."""
@@ -52,7 +55,8 @@ def main(folder: str | Path, pipeline: Pipeline | None = None) -> int:
         return 0
     except Exception as error:
         code, sentence, details = explain(error)
-        send({"stage": "error", "error": sentence, "traceback": details, "exit_code": code})
+        plain = getattr(error, "plain", sentence)
+        send({"stage": "error", "error": sentence, "plain": plain, "traceback": details, "exit_code": code})
         return code
 
 
@@ -62,14 +66,11 @@ def run_job(
     cancelled: CancelFlag,
     pipeline: Pipeline | None = None,
 ) -> None:
-    """Do the job in `folder`, reporting by `send`; raises what goes wrong.
-
-    A finished job is not done again. A stopped one goes on from what the pipeline left in its checkpoint.
+    """Run the job in `folder`, reporting by `send`; exceptions pass through. A finished job is not run again. A stopped
+    one continues from the pipeline's checkpoint.
     """
     progress = Progress(send, cancelled)
     progress("start", 0.0, {}, "Reading the job")
-    if pipeline is None:
-        check_modules()
     from ..job.contract import LOCK, is_finished, read_job, write_result
     from ..job.lock import job_lock
 
@@ -80,8 +81,7 @@ def run_job(
         if not is_finished(folder):
             started = time.monotonic()
             if pipeline is None:
-                progress("start", 0.0, {}, "Loading torch")
-                pipeline = _load_pipeline()
+                pipeline = _load_pipeline(job, progress)
             job.checkpoint.mkdir(exist_ok=True)
             result = pipeline(job.cloud, job.skeleton, job.settings, progress, job.checkpoint)
             seconds = time.monotonic() - started
@@ -100,12 +100,13 @@ def check_modules(modules: tuple[str, ...] = MODULES) -> None:
         raise InputError(
             f"The worker's interpreter '{sys.executable}' lacks {' and '.join(missing)}; install "
             f"with: {sys.executable} -m pip install {' '.join(missing)}"
-            " - or name another interpreter in the add-on's preferences (or GSKIN_PYTHON)."
+            " - or name another interpreter in the add-on's preferences.",
+            shell="or GSKIN_PYTHON",
         )
 
 
 def explain(error: BaseException) -> tuple[int, str, str]:
-    """(exit code, one sentence for a person, traceback) of what a job died of."""
+    """(exit code, one sentence for a person, traceback) of the exception that ended a job."""
     details = "".join(traceback.format_exception(error))
     if isinstance(error, GSkinError):
         return error.exit_code, str(error), "" if isinstance(error, (InputError, Cancelled)) else details
@@ -121,7 +122,14 @@ def explain(error: BaseException) -> tuple[int, str, str]:
     return 1, f"The worker failed with {type(error).__name__}: {words}"[:500], details
 
 
-def _load_pipeline() -> Pipeline:
+def _load_pipeline(job: Job, progress: Progress) -> Pipeline:
+    from ..job.settings import JobSettings
+    from ..pipeline.run import run
+
+    if not JobSettings.parse(job.settings).needs_runtime:
+        return run
+    progress("start", 0.0, {}, "Loading torch")
+    check_modules(RUNTIME_MODULES)
     try:
         import numba  # noqa: F401
         import torch  # noqa: F401
@@ -130,8 +138,6 @@ def _load_pipeline() -> Pipeline:
             f"The worker's interpreter '{sys.executable}' has a broken installation ({error}); install again "
             f"with: {sys.executable} -m pip install --force-reinstall torch numba"
         ) from error
-    from ..pipeline.run import run
-
     return run
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How a process learns that nobody waits for it any more. Standard library only."""
+"""How a process notices that its parent is gone. Standard library only."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _PR_SET_PDEATHSIG = 1  # linux/prctl.h
 def die_with_parent(signal_number: int) -> None:
     """Ask Linux to send this process `signal_number` when its parent ends; elsewhere nothing happens.
 
-    The kernel means the parent's *thread* that started us, so start workers from a thread that lasts.
+    For the kernel the parent is the *thread* that started us, so start workers from a long-lived thread.
     """
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):
@@ -44,7 +44,7 @@ def take_stdin() -> int | None:
 
 
 def on_close(descriptor: int, act: Callable[[], None]) -> threading.Thread:
-    """Call `act` from a thread once the other end of `descriptor` is closed; what arrives is dropped."""
+    """Call `act` from a thread once the other end of `descriptor` is closed; data that arrives is dropped."""
 
     def watch() -> None:
         with contextlib.suppress(OSError):

@@ -3,13 +3,14 @@
 
 It prints JSON lines: {"stage", "fraction" (0 to 1, of the whole job), "seconds_left" (or null), "elapsed",
 "losses", "message"}; the last one is {"stage": "done", ...} or {"stage": "error", "error" (one sentence),
-"traceback", "exit_code"}. Closing a piped stdin, SIGTERM or SIGINT cancels it. Exit codes: 0 done, 1 failure,
-2 bad input, 130 cancelled. The same job started again goes on from its last checkpoint.
+"plain" (it without flags and variables), "traceback", "exit_code"}. Closing a piped stdin, SIGTERM or SIGINT
+cancels it. Exit codes: 0 done, 1 failure, 2 bad input, 130 cancelled. The same job started again goes on from its
+last checkpoint.
 
 `process.py --warm` compiles what jobs need into the user's cache instead.
 
 Started by its path, it loads the package around it, wherever that lies and whatever its folder is called, and
-leaves sys.path alone. Only syntax of old Pythons here: the check of the version must get to run.
+leaves sys.path alone. Only syntax of old Pythons here, so that the check of the version can run.
 """
 
 from __future__ import annotations
@@ -32,14 +33,19 @@ def main(arguments: list[str] | None = None) -> int:
     computing = warming or arguments[:1] == ["--compute"]
     folders = arguments[1:] if computing else arguments
     if not warming and (len(folders) != 1 or folders[0].startswith("-")):
-        return _refuse("Usage: process.py JOBDIR (the folder of a job, see core/job/contract.py).")
+        return _refuse("Usage: process.py JOBDIR (the folder of a job, see core/job/contract.py)")
     if sys.version_info < (3, 11):  # noqa: UP036  (whoever starts this may name any Python)
         version = ".".join(str(number) for number in sys.version_info[:3])
         return _refuse(
             f"The worker's interpreter '{sys.executable}' is Python {version}; name one of 3.11 or later "
-            "in the add-on's preferences (or GSKIN_PYTHON)."
+            "in the add-on's preferences",
+            " (or GSKIN_PYTHON)",
         )
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # idle threads must not take the artist's cores
+    # numpy reads these when it loads. Its threads spin while they wait, and cost a job on small matrices several times
+    # the core-seconds that they save; the job has threads of its own. torch ignores them.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("VECLIB_MAXIMUM_THREADS", "1")
     os.environ.setdefault("NUMBA_CACHE_DIR", user_cache("numba"))
     os.environ.setdefault("WARP_CACHE_PATH", user_cache("warp"))
     package = load_package()
@@ -54,7 +60,8 @@ def main(arguments: list[str] | None = None) -> int:
         job_runner = importlib.import_module(f"{package}.core.worker.job_runner")
         return int(job_runner.main(folders[0]))
     supervisor = importlib.import_module(f"{package}.core.worker.supervisor")
-    command = [sys.executable, "-u", os.path.abspath(__file__), "--compute", folders[0]]
+    isolated = ["-I"] if sys.flags.isolated else []
+    command = [sys.executable, *isolated, "-u", os.path.abspath(__file__), "--compute", folders[0]]
     return int(supervisor.supervise(command))
 
 
@@ -96,8 +103,10 @@ def user_cache(name: str) -> str:
     return tempfile.mkdtemp(prefix=f"gskin-{name}-")
 
 
-def _refuse(sentence: str) -> int:
-    print(json.dumps({"stage": "error", "error": sentence, "traceback": "", "exit_code": 2}), flush=True)
+def _refuse(sentence: str, shell: str = "") -> int:
+    plain, full = sentence + ".", sentence + shell + "."
+    error = {"stage": "error", "error": full, "plain": plain, "traceback": "", "exit_code": 2}
+    print(json.dumps(error), flush=True)
     return 2
 
 

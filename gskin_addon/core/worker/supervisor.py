@@ -2,7 +2,7 @@
 """The worker's outer process: starts the computing one, passes its lines on, ends it. Standard library only.
 
 A long numba or BLAS call holds Python's lock, so the computing process itself cannot notice a closed pipe, a
-signal or its parent's death in time. This one does nothing else and always can; it also has a last word when
+signal or its parent's death in time. This process does nothing else and always can; it also sends the last line when
 the other is killed or crashes.
 """
 
@@ -24,7 +24,7 @@ from ..job.progress import CancelFlag
 from . import parent_watch
 
 GRACE = 0.5
-"""Seconds that the computing process gets to end by itself after a cancel."""
+"""Seconds that the computing process has to end by itself after a cancel."""
 
 FINAL_STAGES = ("done", "error")
 
@@ -54,7 +54,7 @@ def supervise(command: Sequence[str]) -> int:
     child = subprocess.Popen(
         list(command), stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=os.name == "posix"
     )
-    relay = _Relay(child, stop)
+    relay = _LineRelay(child, stop)
     asked_at: float | None = None
     while child.poll() is None:
         if asked_at is None and (stop.is_set() or (os.name == "posix" and os.getppid() != parent)):
@@ -72,7 +72,7 @@ def supervise(command: Sequence[str]) -> int:
     return child.returncode if child.returncode in (0, 1, 2, 130) and relay.final else 1
 
 
-class _Relay:
+class _LineRelay:
     """Copies the child's lines to our stdout, whole lines only, from a thread."""
 
     def __init__(self, child: subprocess.Popen[bytes], stop: CancelFlag) -> None:

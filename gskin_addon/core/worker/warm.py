@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Compiling a job's kernels ahead: two tiny jobs, whose results nobody wants, fill the user's cache.
+"""Compiling a job's kernels in advance: two tiny jobs, whose results are discarded, fill the user's cache.
 
-`python .../core/worker/process.py --warm` runs it and prints JSON lines like a job. Where the cache is warm
-already, it takes the few seconds that torch needs to load.
+`python .../core/worker/process.py --warm` runs it and prints JSON lines like a job. If the cache is warm already, it
+takes the few seconds in which torch loads.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def main() -> int:
 
 
 def warm(send: Callable[[dict[str, Any]], None]) -> None:
-    """Run a job of each kind - splats alone, splats on a mesh - so that all kernels are compiled and kept."""
+    """Run a job of each kind - splats alone, splats on a mesh - so that all kernels are compiled and cached."""
     begun = time.monotonic()
     jobs: tuple[dict[str, Any], ...] = ({"init": "learned"}, {"init": "visibility", "mesh": True})
     PRESETS[_NAME] = _TINY
@@ -55,7 +55,7 @@ def warm(send: Callable[[dict[str, Any]], None]) -> None:
         for number, settings in enumerate(jobs):
             with tempfile.TemporaryDirectory(prefix="gskin-warm-") as folder:
                 settings |= {"preset": _NAME, "guidance": "elastic"}
-                _run(Path(folder), settings, _Relay(send, number / len(jobs), 1 / len(jobs)))
+                _run(Path(folder), settings, _PartialProgress(send, number / len(jobs), 1 / len(jobs)))
     finally:
         del PRESETS[_NAME]
     seconds = round(time.monotonic() - begun, 1)
@@ -70,8 +70,8 @@ def _run(folder: Path, settings: dict[str, Any], send: Callable[[dict[str, Any]]
     job_runner.run_job(folder, send, CancelFlag())
 
 
-class _Relay:
-    """Takes a job's lines and sends them as part of the whole."""
+class _PartialProgress:
+    """Forwards a job's progress as a part of the progress of all jobs."""
 
     def __init__(self, send: Callable[[dict[str, Any]], None], start: float, share: float) -> None:
         self._send, self._start, self._share = send, start, share

@@ -19,6 +19,7 @@ from gskin_addon.core.errors import GSkinError, InputError
 from gskin_addon.core.job import contract
 from gskin_addon.core.job.checks import check_inputs, overlap
 from gskin_addon.core.rig.skeleton import Skeleton
+from gskin_addon.core.rig.weights_file import read_weights_file, write_weights_file
 from gskin_addon.core.splats.axes import rotate_cloud, up_rotation
 from gskin_addon.core.splats.cloud import SplatCloud
 from gskin_addon.core.splats.ply import read_ply
@@ -47,8 +48,8 @@ def test_weights_read_back(tmp_path_factory, rows, bones, seed):
     heads = rng.normal(size=(bones, 3))
     rig = Skeleton(tuple(f"kneé.{i}" for i in range(bones)), np.arange(bones) - 1, heads, heads + 1)
     path = tmp_path_factory.mktemp("w") / "weights.npz"
-    contract.write_weights(path, weights, rig)
-    back = contract.read_weights(path)
+    write_weights_file(path, weights, rig)
+    back = read_weights_file(path)
     np.testing.assert_array_equal(back.weights, weights)
     assert back.bones == rig.names
     np.testing.assert_array_equal(back.heads, rig.heads)
@@ -68,32 +69,32 @@ def test_weights_read_back(tmp_path_factory, rows, bones, seed):
 def test_bad_weights_are_not_written(tmp_path, spoil, words):
     _, skeleton = jobs.rod()
     with pytest.raises(ValueError, match=words):
-        contract.write_weights(tmp_path / "w.npz", spoil(np.full((5, 2), 0.5)), skeleton)
+        write_weights_file(tmp_path / "w.npz", spoil(np.full((5, 2), 0.5)), skeleton)
     assert not list(tmp_path.iterdir())
 
 
 def test_confidence_reads_back_and_is_checked(tmp_path):
     rig = Skeleton(("a",), np.array([-1]), np.zeros((1, 3)), np.ones((1, 3)))
     weights, confidence = np.ones((4, 1), np.float32), np.linspace(0, 1, 4, dtype=np.float32)
-    contract.write_weights(tmp_path / "w.npz", weights, rig, confidence=confidence)
-    np.testing.assert_array_equal(contract.read_weights(tmp_path / "w.npz").confidence, confidence)
+    write_weights_file(tmp_path / "w.npz", weights, rig, confidence=confidence)
+    np.testing.assert_array_equal(read_weights_file(tmp_path / "w.npz").confidence, confidence)
     for bad in (confidence[:3], confidence + 0.5, np.full(4, np.nan, np.float32)):
         with pytest.raises(ValueError, match=r"for 4 splats|outside 0\.\.1"):
-            contract.write_weights(tmp_path / "w.npz", weights, rig, confidence=bad)
+            write_weights_file(tmp_path / "w.npz", weights, rig, confidence=bad)
     arrays = dict(np.load(tmp_path / "w.npz"))
     np.savez(tmp_path / "w.npz", **{**arrays, "confidence": confidence * 2})
     with pytest.raises(InputError, match="damaged confidence"):
-        contract.read_weights(tmp_path / "w.npz")
+        read_weights_file(tmp_path / "w.npz")
 
 
 def test_bad_weights_are_not_read(tmp_path):
     arrays = {"bones": np.array(["a"]), "heads": np.zeros((1, 3)), "tails": np.ones((1, 3)), "parents": [-1]}
     np.savez(tmp_path / "w.npz", weights=np.full((3, 1), 0.5, np.float32), **arrays)
     with pytest.raises(InputError, match=r"w\.npz.*sum to 1"):
-        contract.read_weights(tmp_path / "w.npz")
+        read_weights_file(tmp_path / "w.npz")
     np.savez(tmp_path / "w.npz", **arrays)
     with pytest.raises(InputError, match="lacks the array weights"):
-        contract.read_weights(tmp_path / "w.npz")
+        read_weights_file(tmp_path / "w.npz")
 
 
 @pytest.mark.parametrize("name", ["job.json", "splats.npz", "skeleton.json"])

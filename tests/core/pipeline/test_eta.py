@@ -9,28 +9,29 @@ import numpy as np
 import pytest
 
 from gskin_addon.core.pipeline.eta import Eta, StageEta
-from gskin_addon.core.pipeline.optimise_loop import TRIALS, _first_visits, guided_kinds
+from gskin_addon.core.pipeline.optimise_loop import TRIALS, _first_visits
+from gskin_addon.core.pipeline.work_kinds import guided_kinds
 from gskin_addon.core.skinning.presets import PRESETS
 
 # Seconds for each piece: an easy job, one whose pictures are slow, one whose large images are slow, a slow machine.
 _EASY = {
-    "splats": 0.06, "initial": 1.5, "distances": 0.5, "first image": 1.2, "guidance": 0.08, "look": 1.0, 256: 0.05,
-    512: 0.12, "check": 0.1, "finish": 1.0,
+    "splats": 0.06, "initial": 1.5, "distances": 0.5, "first image": 1.2, "guidance": 0.08, "visibility": 1.0,
+    256: 0.05, 512: 0.12, "check": 0.1, "finish": 1.0,
 }  # fmt: skip
 COSTS = {
     "even": _EASY,
     "slow guidance": {**_EASY, "guidance": 9.0},
-    "steep in size": {**_EASY, "guidance": 0.05, "look": 0.4, 256: 0.03, 512: 0.4, "check": 0.4, "finish": 2.0},
+    "steep in size": {**_EASY, "guidance": 0.05, "visibility": 0.4, 256: 0.03, 512: 0.4, "check": 0.4, "finish": 2.0},
     "many bones": {
-        "splats": 0.25, "initial": 6.0, "distances": 6.0, "first image": 6.0, "guidance": 0.6, "look": 5.0, 256: 0.9,
-        512: 1.5, "check": 0.5, "finish": 9.0,
+        "splats": 0.25, "initial": 6.0, "distances": 6.0, "first image": 6.0, "guidance": 0.6, "visibility": 5.0,
+        256: 0.9, 512: 1.5, "check": 0.5, "finish": 9.0,
     },
 }  # fmt: skip
 
 
 def cost(kind, table):
     word, _, size = kind.partition(" at ")
-    return table["look"] if word == "look" else table[int(size)] if word == "learn" else table[word]
+    return table["visibility"] if word == "visibility" else table[int(size)] if word == "learn" else table[word]
 
 
 @pytest.mark.parametrize("preset", PRESETS)
@@ -46,14 +47,14 @@ def test_after_a_tenth_of_the_run_the_end_is_known_within_a_fifth(name, preset):
 
     def do(kind):
         spend(kind)
-        eta.did(kind)
-        eta.tell("stage", "")
+        eta.record(kind)
+        eta.report("stage", "")
 
     do("splats")
     for kind in kinds:
         for _ in range(TRIALS if kind.startswith("learn") else " at " in kind):
             spend(kind)
-            eta.tried(kind)
+            eta.record_trial(kind)
     for kind in kinds:
         for _ in range(kinds[kind][0] - (kind == "splats")):
             do(kind)
@@ -76,21 +77,21 @@ class Clock:
         self.now = 0.0
         self.eta = Eta(lambda *_: None, kinds, clock=lambda: self.now)
 
-    def did(self, kind, seconds, pieces=1):
+    def record(self, kind, seconds, pieces=1):
         self.now += seconds
-        self.eta.did(kind, pieces)
+        self.eta.record(kind, pieces)
 
-    def tried(self, kind, seconds):
+    def record_trial(self, kind, seconds):
         self.now += seconds
-        self.eta.tried(kind)
+        self.eta.record_trial(kind)
 
 
 def test_guesses_follow_the_speed_of_what_was_measured():
     clock = Clock({"a": (10, 1.0), "b": (10, 2.0)})
     assert clock.eta.seconds_left() == pytest.approx(30)
-    clock.did("a", 6.0, 2)  # three times slower than guessed
+    clock.record("a", 6.0, 2)  # three times slower than guessed
     assert clock.eta.seconds_left() == pytest.approx(8 * 3 + 10 * 6)
-    clock.tried("b", 1.0)
+    clock.record_trial("b", 1.0)
     assert clock.eta.seconds_left() == pytest.approx(8 * 3 + 10)
 
 
@@ -98,9 +99,9 @@ def test_a_resumed_run_begins_where_it_stood():
     clock = Clock({"a": (4, 1.0), "b": (4, 1.0)})
     clock.eta.skip("a", 4)
     assert clock.eta.fraction() == pytest.approx(0.5)
-    clock.tried("b", 3.0)
+    clock.record_trial("b", 3.0)
     assert clock.eta.seconds_left() == pytest.approx(12)
-    clock.did("b", 3.0, 4)
+    clock.record("b", 3.0, 4)
     assert clock.eta.fraction() == 1.0
     assert Clock({}).eta.fraction() == 0.0
 
@@ -108,17 +109,17 @@ def test_a_resumed_run_begins_where_it_stood():
 def test_a_machine_that_gets_busy_after_the_trials_is_noticed():
     clock = Clock({"small": (80, 0.1), "large": (120, 0.3)})
     for _ in range(3):
-        clock.tried("small", 0.1)
-        clock.tried("large", 0.3)
+        clock.record_trial("small", 0.1)
+        clock.record_trial("large", 0.3)
     for _ in range(40):
-        clock.did("small", 0.15)  # half as slow again as when it was tried
+        clock.record("small", 0.15)  # half as slow again as when it was tried
     assert clock.eta.seconds_left() == pytest.approx(40 * 0.15 + 120 * 0.45, rel=0.05)
     for _ in range(40):
-        clock.did("small", 0.1)
+        clock.record("small", 0.1)
     for _ in range(30):
-        clock.did("large", 0.3)
+        clock.record("large", 0.3)
     for _ in range(30):
-        clock.did("large", 0.6)
+        clock.record("large", 0.6)
     assert clock.eta.seconds_left() == pytest.approx(60 * 0.6, rel=0.2)
 
 
@@ -126,9 +127,9 @@ def test_parts_of_a_piece_move_the_bar():
     clock = Clock({"one": (1, 1.0), "rest": (1, 1.0)})
     for step in range(1, 5):
         clock.now += 0.5
-        clock.eta.reach("one", step / 4)
+        clock.eta.record_up_to("one", step / 4)
         assert clock.eta.fraction() == pytest.approx(step / 8)
-    clock.eta.reach("one", 0.5)  # never falls
+    clock.eta.record_up_to("one", 0.5)  # never falls
     assert clock.eta.fraction() == pytest.approx(0.5)
     assert clock.eta.seconds_left() == pytest.approx(2.0)
 

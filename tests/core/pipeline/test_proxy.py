@@ -6,13 +6,14 @@ import pytest
 from proxy_meshes import tube
 
 from gskin_addon.core.errors import InputError
-from gskin_addon.core.job.contract import read_job, read_weights, write_job, write_result, write_weights
+from gskin_addon.core.job.contract import read_job, write_job, write_result
 from gskin_addon.core.job.mesh_files import read_mesh, write_mesh
 from gskin_addon.core.pipeline import steps
 from gskin_addon.core.pipeline.run import run
 from gskin_addon.core.rig.kinematics import pose_transforms
 from gskin_addon.core.rig.lbs import skin_points
 from gskin_addon.core.rig.poses import random_poses
+from gskin_addon.core.rig.weights_file import read_weights_file, write_weights_file
 from gskin_addon.core.skinning import presets
 from tests.helpers.limb import make_limb
 
@@ -47,15 +48,15 @@ def test_a_job_with_a_mesh_learns_on_its_vertices(tmp_path, monkeypatch):
     moved = [skin_points(limb.cloud.means, w, poses) for w in (outcome.weights, limb.weights)]
     assert np.linalg.norm(moved[0] - moved[1], axis=-1).mean() < 0.05
     write_result(job, outcome.weights, outcome.report, outcome.previews, outcome.mesh_weights)
-    np.testing.assert_array_equal(read_weights(folder / "weights.npz").mesh_weights, outcome.mesh_weights)
+    np.testing.assert_array_equal(read_weights_file(folder / "weights.npz").mesh_weights, outcome.mesh_weights)
 
 
 def test_weights_files_without_a_mesh_have_none_and_bad_ones_are_refused(tmp_path):
     limb = make_limb(20)
-    write_weights(tmp_path / "w.npz", limb.weights, limb.skeleton)
-    assert read_weights(tmp_path / "w.npz").mesh_weights is None
+    write_weights_file(tmp_path / "w.npz", limb.weights, limb.skeleton)
+    assert read_weights_file(tmp_path / "w.npz").mesh_weights is None
     with pytest.raises(ValueError, match="for 3 bones"):
-        write_weights(tmp_path / "w.npz", limb.weights, limb.skeleton, np.ones((4, 2)))
+        write_weights_file(tmp_path / "w.npz", limb.weights, limb.skeleton, np.ones((4, 2)))
 
 
 def test_meshes_are_read_from_files(tmp_path):

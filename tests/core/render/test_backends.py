@@ -25,19 +25,17 @@ def _forget() -> Iterator[None]:
 def with_gpu(monkeypatch: pytest.MonkeyPatch, **modules: str) -> None:
     """A machine with a CUDA device and the rasterisers `modules`, by the module that makes their scenes."""
     monkeypatch.setattr(backends, "cuda_device", lambda: "a test GPU")
-    monkeypatch.setattr(backends, "_gsplat_is_compiled", lambda: True)
-    for name in ("warp", "gsplat"):
-        lacks = "" if name in modules else f"There is no {name}."
-        monkeypatch.setitem(backends.BACKENDS, name, Backend(modules.get(name, ".none"), lambda lacks=lacks: lacks))
+    monkeypatch.setattr(backends, "_lacks_warp", lambda: "" if "warp" in modules else "There is no warp.")
+    for name, module in modules.items():
+        monkeypatch.setitem(backends.BACKENDS, name, Backend(module, lambda: ""))
 
 
 def test_without_a_gpu_it_is_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(backends, "cuda_device", lambda: "")
     assert resolve_backend() == "cpu"
     monkeypatch.delenv(backends.WARP_DEVICE, raising=False)
-    for name in ("warp", "gsplat"):
-        with pytest.raises(InputError, match=name):
-            resolve_backend(name)
+    with pytest.raises(InputError, match="warp"):
+        resolve_backend("warp")
 
 
 def test_apples_gpu_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -50,13 +48,10 @@ def test_apples_gpu_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_gpu_is_taken_when_it_draws_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    with_gpu(monkeypatch, gsplat=".cpu.backend", warp=".cpu.backend")
+    with_gpu(monkeypatch, warp=".cpu.backend")
     name, why = choose_backend()
-    assert name == "gsplat"
+    assert name == "warp"
     assert "a test GPU" in why
-    backends._auto.cache_clear()
-    monkeypatch.setattr(backends, "_gsplat_is_compiled", lambda: False)
-    assert resolve_backend() == "warp"
 
 
 def test_a_gpu_that_draws_something_else_is_not_trusted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -91,14 +86,12 @@ def test_a_missing_module_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(backends.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(InputError, match="pip install warp-lang"):
         resolve_backend("warp")
-    with pytest.raises(InputError, match="pip install gsplat"):
-        resolve_backend("gsplat")
 
 
 def test_menus_need_no_numba_torch_or_warp() -> None:
     code = (
         "import sys; import gskin_addon.core.job.settings; "
-        "print([m for m in ('numba', 'torch', 'warp', 'gsplat') if m in sys.modules])"
+        "print([m for m in ('numba', 'torch', 'warp') if m in sys.modules])"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "[]"

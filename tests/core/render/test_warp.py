@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The Warp kernels on Warp's "cpu" device, where they run one thread after the other."""
+"""The Warp kernels, on Warp's "cpu" device, where they run one thread after the other, or on $GSKIN_WARP_DEVICE."""
 
 from __future__ import annotations
 
-import importlib.util
+import os
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,8 @@ import torch
 
 pytest.importorskip("warp")
 
+from render_scenes import SCENES, make_scene
+
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.render import reference
 from gskin_addon.core.render.camera import Camera, look_at
@@ -20,19 +22,13 @@ from gskin_addon.core.render.cpu import backend as cpu
 from gskin_addon.core.render.photometric import photometric_loss
 from gskin_addon.core.render.rasterizer import prepare
 
-_spec = importlib.util.spec_from_file_location("render_scenes", Path(__file__).with_name("scenes.py"))
-assert _spec is not None
-assert _spec.loader is not None
-_scenes = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(_scenes)
-SCENES, make_scene = _scenes.SCENES, _scenes.make_scene
-
+DEVICE = os.environ.get("GSKIN_WARP_DEVICE", "cpu")
 BACKGROUND = np.array([0.2, 0.5, 0.9], np.float32)
 
 
 @pytest.fixture(autouse=True)
-def _on_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("GSKIN_WARP_DEVICE", "cpu")
+def _on_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GSKIN_WARP_DEVICE", DEVICE)
 
 
 def warp_scene(*arrays: Any, **options: Any) -> Any:
@@ -115,12 +111,14 @@ def test_tensors_give_what_arrays_give() -> None:
     losses = [photometric_loss(np.full((64, 64, 3), 120, np.uint8)) for _ in cameras]
     arrays = np.stack([means] * 3), np.stack([quats] * 3)
     wanted = scene.render_and_grad_many(*arrays, cameras, losses)
-    assert scene.tensor_device == "cpu"
-    tensors = [torch.tensor(a, requires_grad=True) for a in arrays]
+    assert scene.tensor_device == DEVICE
+    tensors = [torch.tensor(a, requires_grad=True, device=DEVICE) for a in arrays]
     values, grad_means, grad_quats = scene.render_and_grad_tensors(*tensors, cameras, losses)
     assert np.array_equal(values, wanted[0])
-    assert np.array_equal(grad_means.numpy(), wanted[1])
-    assert np.array_equal(grad_quats.numpy(), wanted[2])
+    assert np.array_equal(grad_means.cpu().numpy(), wanted[1])
+    assert np.array_equal(grad_quats.cpu().numpy(), wanted[2])
+    with pytest.raises(ValueError, match="a tensor on meta"):
+        scene.render_and_grad_tensors(*(tensor.to("meta") for tensor in tensors), cameras, losses)
 
 
 def test_mixed_sizes_small_batches_and_losses_of_ones_own(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -141,7 +139,7 @@ def test_mixed_sizes_small_batches_and_losses_of_ones_own(monkeypatch: pytest.Mo
     found = scene.render_and_grad_many(*arrays, cameras, losses)
     for mine, theirs in zip(found, wanted, strict=True):
         assert relative(mine, theirs) < 1e-4
-    one = scene.forward(means, quats, cameras[0]).batch.pairs
+    one = scene.forward(means, quats, cameras[0]).state.pairs
     monkeypatch.setattr(batches, "PAIRS_AT_ONCE", one)
     halved = scene.render_and_grad_many(*arrays, cameras, losses)
     for mine, theirs in zip(halved, found, strict=True):

@@ -19,7 +19,7 @@ from gskin_addon.core.rig.anchoring import (
     splat_maps,
 )
 from gskin_addon.core.rig.lbs import skin_cloud
-from gskin_addon.core.rig.mesh_weights import anchor_matrix, mesh_weights, splat_weights
+from gskin_addon.core.rig.mesh_weights import splat_weights
 from gskin_addon.core.rig.quaternion import quat_to_matrix
 from gskin_addon.core.rig.vertex_maps import vertex_transforms
 from gskin_addon.core.splats.cloud import SplatCloud
@@ -182,23 +182,14 @@ def test_a_mesh_somewhere_else_is_refused():
         anchor_splats(cloud.means * np.inf, verts, faces)
 
 
-def test_weights_go_from_mesh_to_splats_and_back():
+def test_weights_go_from_mesh_to_splats():
     verts, faces = tube()
     cloud = cloud_on(verts, faces, 3000, 0.005)
     anchors = anchor_splats(cloud.means, verts, faces)
     smooth = np.exp(-4 * np.square(verts[:, :1] - [0, 1.5, 3]))
     smooth = (smooth / smooth.sum(axis=1, keepdims=True)).astype(np.float32)
     on_splats = splat_weights(anchors, smooth, faces)
-    np.testing.assert_allclose(on_splats, anchor_matrix(anchors, faces, len(verts)) @ smooth, atol=1e-6)
+    blend = np.zeros((anchors.count, len(verts)))
+    np.add.at(blend, (np.arange(anchors.count)[:, None], faces[anchors.face]), anchors.bary)
+    np.testing.assert_allclose(on_splats, blend @ smooth, atol=1e-6)
     np.testing.assert_allclose(on_splats.sum(axis=1), 1, atol=1e-6)
-    back = mesh_weights(anchors, on_splats, faces, len(verts))
-    np.testing.assert_allclose(back.sum(axis=1), 1, atol=1e-5)
-    assert back.min() >= 0
-    assert np.abs(back - smooth).max() < 0.02
-    # Few splats, and a part of the mesh without any.
-    apart = np.concatenate([verts, verts + 50])
-    both = np.concatenate([faces, faces + len(verts)])
-    few = anchors.select(np.arange(40))
-    filled = mesh_weights(few, on_splats[:40], both, len(apart))
-    np.testing.assert_allclose(filled.sum(axis=1), 1, atol=1e-5)
-    assert np.abs(filled[: len(verts)] - smooth).mean() < 0.1

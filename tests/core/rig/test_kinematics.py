@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gskin_addon.core.rig.kinematics import joints_posed, pose_transforms, transforms_from_matrices
+from gskin_addon.core.rig.kinematics import joints_posed, pose_transforms
 from gskin_addon.core.rig.poses import random_poses, turnable_bones
 from gskin_addon.core.rig.skeleton import Skeleton
 
@@ -63,15 +63,6 @@ def test_identity_pose_one_pose_and_wrong_shape():
     np.testing.assert_allclose(identity, np.tile(np.eye(4), (6, 1, 1)), atol=1e-15)
     with pytest.raises(ValueError, match="rotations have shape"):
         pose_transforms(skeleton, np.zeros((2, 5, 3, 3)))
-
-
-def test_transforms_from_matrices_match_forward_kinematics():
-    skeleton = random_skeleton(8, seed=5)
-    skeleton.rest[:, :3, :3] = Rotation.random(8, random_state=5).as_matrix()
-    transforms = pose_transforms(skeleton, Rotation.random(8, random_state=6).as_matrix())
-    np.testing.assert_allclose(
-        transforms_from_matrices(skeleton, transforms @ skeleton.rest), transforms, atol=1e-12
-    )
 
 
 def test_random_poses_follow_section_iv():

@@ -17,7 +17,7 @@ from gskin_addon.core.pipeline.run import run
 from gskin_addon.core.render.camera import paper_views
 from gskin_addon.core.skinning import device_renderer
 from gskin_addon.core.skinning.fields.pyramid import SparsePyramid
-from gskin_addon.core.skinning.optimise import Optimiser, Target
+from gskin_addon.core.skinning.optimise import LearningOptions, Optimiser, Target
 from gskin_addon.core.skinning.presets import PRESETS
 from tests.helpers.limb import make_limb
 
@@ -46,9 +46,8 @@ def task(request):
 
 def steps(task, rasterizer):
     cloud, skeleton, start, targets = task
-    optimiser = Optimiser(
-        cloud, skeleton, SparsePyramid(cloud.means, start), targets, PRESET, rasterizer=rasterizer
-    )
+    field, options = SparsePyramid(cloud.means, start), LearningOptions(rasterizer=rasterizer)
+    optimiser = Optimiser(cloud, skeleton, field, targets, PRESET, options=options)
     return optimiser, [optimiser.step() for _ in range(PRESET.iterations)]
 
 

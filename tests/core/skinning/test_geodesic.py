@@ -17,6 +17,7 @@ from gskin_addon.core.rig.kinematics import pose_transforms
 from gskin_addon.core.rig.lbs import skin_points
 from gskin_addon.core.rig.poses import random_poses
 from gskin_addon.core.rig.skeleton import Skeleton
+from gskin_addon.core.skinning import geodesic
 from gskin_addon.core.skinning.geodesic import geodesic_distances
 from gskin_addon.core.skinning.initial import initial_weights_geodesic
 from gskin_addon.core.skinning.voxels import VoxelGrid, enclosure, voxelize
@@ -168,6 +169,28 @@ def test_no_longer_than_the_graph_and_no_shorter_than_the_air():
     assert np.isfinite(got).all()
 
 
+def test_what_is_in_sight_is_what_straight_lines_say():
+    """Voxels hand on the sight of the bone from one to the next; here each line is sampled on its own."""
+    points = _horseshoe()
+    grid = voxelize(points, np.ones(len(points)), 64)
+    body = geodesic._Inside.of(grid)
+    skeleton = _bones(((0.9, 0.1, 0.3), (0.9, 0.1, 0.9)), ((0.1, 0.1, 0.1), (0.5, 0.1, 0.1)))
+    heads, tails = grid.coordinates(skeleton.heads), grid.coordinates(skeleton.tails)
+    bones = geodesic._Bones.of(body, heads, tails)
+    for bone in range(2):
+        length, seen = geodesic._in_sight(body, bones, bone)
+        start = body.nodes + 0.5
+        axis = tails[bone] - heads[bone]
+        t = np.clip((start - heads[bone]) @ axis / (axis @ axis), 0, 1)
+        end = heads[bone] + t[:, None] * axis
+        np.testing.assert_allclose(length, np.linalg.norm(end - start, axis=1), atol=1e-3)
+        truth = np.ones(len(start), bool)
+        for part in np.linspace(0, 1, 200):
+            truth &= body.node_at(start + part * (end - start)) < body.count
+        assert 0.1 < truth.mean() < 0.9
+        assert (seen != truth).mean() < 0.03
+
+
 def test_parts_that_do_not_touch_are_joined_over_the_gap():
     rng = np.random.default_rng(0)
     body = _box((0, 0, 0), (1, 0.4, 0.4), 20000, rng)
@@ -224,7 +247,7 @@ def test_artists_weights_are_met_better_than_by_euclidean_distance(name):
         data["verts"], data["faces"], data["corner_rgb"] / 255.0, 6000, np.random.default_rng(0)
     )
     truth = np.einsum("nk,nkb->nb", bary, dense[data["faces"][face]])
-    geodesic = initial_weights_geodesic(
+    through = initial_weights_geodesic(
         cloud.means, cloud.opacities, skeleton, resolution=64, scales=cloud.scales, quats=cloud.quats
     )
     a, ab = skeleton.heads, skeleton.tails - skeleton.heads
@@ -240,6 +263,6 @@ def test_artists_weights_are_met_better_than_by_euclidean_distance(name):
     target = skin_points(means, truth, transforms)
     error = [
         np.linalg.norm(skin_points(means, w, transforms) - target, axis=-1).mean()
-        for w in (geodesic, euclidean)
+        for w in (through, euclidean)
     ]
     assert error[0] < 0.9 * error[1]

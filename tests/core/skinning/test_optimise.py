@@ -13,7 +13,7 @@ from gskin_addon.core.render.camera import paper_views
 from gskin_addon.core.skinning import optimise
 from gskin_addon.core.skinning.fields.pyramid import SparsePyramid
 from gskin_addon.core.skinning.losses import LossWeights
-from gskin_addon.core.skinning.optimise import Optimiser, Target
+from gskin_addon.core.skinning.optimise import LearningOptions, Optimiser, Target
 from gskin_addon.core.skinning.presets import PRESETS
 from tests.helpers.limb import make_limb
 
@@ -34,10 +34,11 @@ def task():
     return limb, start, targets
 
 
-def make(task, seed=0, preset=PRESET, **options):
+def make(task, seed=0, preset=PRESET, held_out=(), **options):
     limb, start, targets = task
     field = SparsePyramid(limb.cloud.means, start)
-    return Optimiser(limb.cloud, limb.skeleton, field, targets, preset, seed=seed, **options)
+    chosen = LearningOptions(seed=seed, **options)
+    return Optimiser(limb.cloud, limb.skeleton, field, targets, preset, held_out=held_out, options=chosen)
 
 
 def error(limb, weights):
@@ -93,7 +94,7 @@ def test_restored_run_with_pruning_and_held_out_poses(task, monkeypatch):
                 optimiser.check()
 
     whole = make(task, **held)
-    assert whole.looks == {0, 4}  # 24 images in batches of 8: 12 iterations are 4 epochs
+    assert whole.visibility_updates == {0, 4}  # 24 images in batches of 8: 12 iterations are 4 epochs
     go(whole, 14)
     broken = make(task, **held)
     go(broken, 7)

@@ -46,8 +46,8 @@ def test_the_far_side_is_left_out_and_the_loss_hardly_changes(scene):
     means, quats = pose(np.stack([t.transforms for t in targets]))
     batch = list(range(len(targets)))
     value, grad_means, _ = views.render_and_grad(means, quats, batch, 128)
-    views.look(pose, 128)
-    front, back = views.seen
+    views.update_visible(pose, 128)
+    front, back = views.visible
     assert 0.3 < front.mean() < 0.8
     # Cameras in front and behind: each splat of a tube shows to one of them, few to both.
     assert (front | back).mean() > 0.85
@@ -55,8 +55,8 @@ def test_the_far_side_is_left_out_and_the_loss_hardly_changes(scene):
     pruned, grads, _ = views.render_and_grad(means, quats, batch, 128)
     assert pruned == pytest.approx(value, rel=0.02)
     assert not grads[0][~front].any()
-    seen = grad_means[0][front]
-    assert np.linalg.norm(grads[0][front] - seen) < 0.2 * np.linalg.norm(seen)
+    visible = grad_means[0][front]
+    assert np.linalg.norm(grads[0][front] - visible) < 0.2 * np.linalg.norm(visible)
 
 
 def test_small_renders_and_colours_by_view_are_pruned_too(scene):
@@ -65,9 +65,9 @@ def test_small_renders_and_colours_by_view_are_pruned_too(scene):
     sh[:, 1] = 0.2
     views = views_of(limb, targets, replace(limb.cloud, sh=sh))
     pose = posed(limb, limb.weights)
-    views.look(pose, 64)
+    views.update_visible(pose, 64)
     means, quats = pose(np.stack([targets[0].transforms, targets[4].transforms]))
     value, grad, _ = views.render_and_grad(means, quats, [0, 4], 64)
     assert np.isfinite(value)
-    assert not grad[1][~views.seen[1]].any()
+    assert not grad[1][~views.visible[1]].any()
     assert views.loss(means[0], quats[0], 0, 128) < 0.1

@@ -7,13 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.splats.cleanup import (
-    Hygiene,
-    _components,
+    Cleanup,
     clamp_aspect,
     find_faint_giants,
     find_needles,
@@ -69,17 +66,6 @@ def test_few_splats_are_never_all_strays():
     assert not find_strays(at(np.zeros((9, 3)))).any()  # all in one place
 
 
-def test_components_are_those_of_scipy():
-    rng = np.random.default_rng(3)
-    for count in (1, 30, 400):
-        first, second = rng.integers(0, count, (2, int(0.9 * count)))
-        label = _components(count, first, second)
-        _, expected = connected_components(coo_matrix((np.ones(len(first)), (first, second)), (count, count)), False)
-        smallest = np.full(count, count)
-        np.minimum.at(smallest, expected, np.arange(count))
-        np.testing.assert_array_equal(label, smallest[expected])
-
-
 def test_faint_giants():
     limb = make_limb(500).cloud  # 3 long
     scales, opacities = limb.scales.copy(), limb.opacities.copy()
@@ -128,18 +114,18 @@ def test_balls_keep_the_area():
 )
 def test_bad_options_are_named(values, words):
     with pytest.raises(InputError, match=words):
-        Hygiene.parse(values)
+        Cleanup.parse(values)
 
 
 def test_counts_of_a_job():
     body = make_limb(1000).cloud
     cloud = merged(body, at([[1, 0, 2]]), at([[1, 0, 0]], 0.4, 0.02))
-    bad, counts = Hygiene.parse({}).find(cloud)
+    bad, counts = Cleanup.parse({}).find(cloud)
     assert counts == {"strays": 1, "faint_giants": 1}
     assert np.flatnonzero(bad).tolist() == [1000, 1001]
-    assert not Hygiene(ignore_strays=False, ignore_faint_giants=False).find(cloud)[0].any()
-    assert Hygiene().shape(cloud) == (cloud, {})
-    shaped, needles = Hygiene(max_aspect=1.01, isotropic=True).shape(cloud)
+    assert not Cleanup(ignore_strays=False, ignore_faint_giants=False).find(cloud)[0].any()
+    assert Cleanup().shape(cloud) == (cloud, {})
+    shaped, needles = Cleanup(max_aspect=1.01, isotropic=True).shape(cloud)
     assert needles["needles"] == int(find_needles(cloud, 1.01).sum())
     assert np.ptp(shaped.scales, axis=1).max() == 0
 

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -181,13 +180,6 @@ def test_wrong_shapes_are_refused():
         replace(cloud, quats=cloud.quats[:, :3])
     with pytest.raises(ValueError, match="sh has shape"):
         replace(cloud, sh=cloud.sh[:, :3])
-
-
-def test_hundred_thousand_splats_read_in_well_under_a_second(tmp_path):
-    write_ply(tmp_path / "big.ply", clouds.random_cloud(100_000, 3))
-    start = time.perf_counter()
-    read_ply(tmp_path / "big.ply")
-    assert time.perf_counter() - start < 0.8
 
 
 @pytest.mark.skipif(not clouds.ASSETS.is_dir(), reason="no shared assets")

@@ -10,7 +10,7 @@ from rigged_assets import write_collection, write_tube
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.training.catalogue import Asset, list_assets
 from gskin_addon.core.training.guidance.split import TRAIN, VALIDATION, split_families
-from gskin_addon.core.training.rigged import load_asset
+from gskin_addon.core.training.rigged import load_asset, read_rigged_mesh
 
 
 def test_an_asset_becomes_splats_with_the_weights_of_the_surface(tmp_path):
@@ -107,3 +107,28 @@ def test_small_sets_balance_and_families_left_out():
         split_families(assets(a=5), 0.1, 0, leave_out=["x"])
     with pytest.raises(InputError, match="Every family is left out"):
         split_families(assets(a=5), 0.1, 0, leave_out=["a"])
+
+
+def test_a_file_may_say_less_and_lists_bones_in_any_order(tmp_path):
+    plain = read_rigged_mesh(write_tube(tmp_path / "plain.npz"))
+    less = dict.fromkeys(("bone_names", "bone_rest", "bone_used"))
+    told = read_rigged_mesh(write_tube(tmp_path / "less.npz", **less))
+    assert told.skeleton.names == ("0", "1", "2", "3")
+    np.testing.assert_array_equal(told.used, plain.used)
+    np.testing.assert_array_equal(told.skeleton.rest[:, :3, 3], told.skeleton.heads)
+    # The control bone last, in place of first.
+    order = [1, 2, 3, 0]
+    with np.load(tmp_path / "plain.npz") as file:
+        moved = {name: file[name][order] for name in file.files if name.startswith("bone_")}
+        moved |= {"bone_parent": np.array([3, 0, 1, -1]), "w_col": file["w_col"] - 1}
+    mixed = read_rigged_mesh(write_tube(tmp_path / "mixed.npz", **moved))
+    assert mixed.skeleton.names == plain.skeleton.names
+    np.testing.assert_array_equal(mixed.weights, plain.weights)
+    np.testing.assert_array_equal(mixed.skeleton.parents, plain.skeleton.parents)
+    np.testing.assert_array_equal(mixed.used, plain.used)
+
+
+@pytest.mark.parametrize("parents", [[-1, 2, 1, 2], [-1, 0, 9, 2]])
+def test_a_rig_that_is_no_tree_is_damaged(tmp_path, parents):
+    with pytest.raises(InputError, match=r"tube.npz' is damaged"):
+        load_asset(write_tube(tmp_path / "tube.npz", bone_parent=np.array(parents)), 100)

@@ -7,12 +7,13 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
 import worker_jobs as jobs
+from patience import HANG, wait_until
+from without import output_without
 
 from gskin_addon.core.errors import Cancelled, GSkinError, InputError
 from gskin_addon.core.worker import interpreter
@@ -25,15 +26,16 @@ def client_for(folder: Path, python: str = sys.executable) -> WorkerClient:
     return WorkerClient(python, folder, program=jobs.FAKE)
 
 
-def follow(client: WorkerClient, timeout: float = 30) -> tuple[list, float]:
-    """All events, and the longest that a `poll` took."""
-    events, longest, until = [], 0.0, time.monotonic() + timeout
-    while client.state == "running" and time.monotonic() < until:
-        began = time.perf_counter()
-        events += client.poll()
-        longest = max(longest, time.perf_counter() - began)
-        time.sleep(0.01)
-    return events, longest
+def follow(client: WorkerClient) -> list:
+    """All events until the worker has ended."""
+    events = []
+
+    def ended() -> bool:
+        events.extend(client.poll())
+        return client.state != "running"
+
+    wait_until(ended, "the worker does not end")
+    return events
 
 
 def test_runs_and_answers(tmp_path):
@@ -42,11 +44,10 @@ def test_runs_and_answers(tmp_path):
     client.start()
     with pytest.raises(GSkinError, match="not ended"):
         client.result()
-    events, longest = follow(client)
+    events = follow(client)
     assert client.state == "done"
     assert [event.stage for event in events] == ["start", "steps", "write"]
     assert events[1].losses == {"l1": 0.25}
-    assert longest < 0.05
     np.testing.assert_array_equal(client.result().weights[:, 0], 1.0)
     assert "chatter on stdout" in client.log
 
@@ -60,17 +61,13 @@ def test_wait_is_the_whole_of_it(tmp_path):
 
 
 @pytest.mark.parametrize("act", ["talk", "deaf"])
-def test_cancel_neither_waits_nor_takes_a_second(tmp_path, act):
+def test_cancel_ends_whatever_it_does(tmp_path, act):
     client = client_for(jobs.make_job(tmp_path, act=act))
     client.start()
-    while not any(event.stage == act for event in client.poll()):
-        time.sleep(0.02)
-    began = time.monotonic()
+    wait_until(lambda: any(event.stage == act for event in client.poll()))
     client.cancel()
     client.cancel()
-    assert time.monotonic() - began < 0.05
     follow(client)
-    assert time.monotonic() - began < 1.0
     assert client.state == "cancelled"
     with pytest.raises(Cancelled):
         client.result()
@@ -80,13 +77,29 @@ def test_cancel_neither_waits_nor_takes_a_second(tmp_path, act):
 def test_a_worker_that_hears_nothing_is_killed(tmp_path):
     client = client_for(jobs.make_job(tmp_path, act="talk"))
     client.start()
-    while not client.poll():
-        time.sleep(0.02)
+    wait_until(client.poll)
     client._process.send_signal(signal.SIGSTOP)
     client.cancel()
-    began = time.monotonic()
     follow(client)
-    assert time.monotonic() - began < 1.2
+    assert client.state == "cancelled"
+
+
+@posix
+def test_neither_poll_nor_cancel_waits_for_the_worker(tmp_path, monkeypatch):
+    """It says and does nothing any more: whoever waited for it here would wait for ever."""
+    monkeypatch.setattr(WorkerClient, "KILL_AFTER", 3600.0)
+    client = client_for(jobs.make_job(tmp_path, act="talk"))
+    client.start()
+    wait_until(client.poll)
+    client._process.send_signal(signal.SIGSTOP)
+    os.waitpid(client._process.pid, os.WUNTRACED)
+    client.poll()
+    client.cancel()
+    client.poll()
+    assert client._process.poll() is None
+    assert client.state == "running"
+    client._process.kill()
+    follow(client)
     assert client.state == "cancelled"
 
 
@@ -166,13 +179,12 @@ def test_asking_does_not_wait(monkeypatch):
     checks = interpreter.PythonChecks()
     assert checks.known("python") is None
     answer = interpreter.PythonReport(Path("python"), fault="It is broken.")
-    monkeypatch.setattr(interpreter, "check_python", lambda path: (time.sleep(0.2), answer)[1])
-    began = time.monotonic()
+    go_on = threading.Event()
+    monkeypatch.setattr(interpreter, "check_python", lambda path: (go_on.wait(HANG), answer)[1])
     checks.ask("python")
-    assert time.monotonic() - began < 0.1
     assert checks.asking("python")
-    while checks.asking("python"):
-        time.sleep(0.01)
+    go_on.set()
+    wait_until(lambda: not checks.asking("python"))
     assert checks.known("python") == answer
     assert not checks.warming("python")
 
@@ -182,23 +194,16 @@ def test_a_usable_interpreter_is_warmed_up_once_and_meanwhile_known(monkeypatch)
     answer = interpreter.PythonReport(Path("python"), (3, 11, 0), found)
     go_on, warmed = threading.Event(), []
     monkeypatch.setattr(interpreter, "check_python", lambda path: answer)
-    monkeypatch.setattr(interpreter, "warm_up", lambda path: (warmed.append(path), go_on.wait(10), "")[2])
+    monkeypatch.setattr(interpreter, "warm_up", lambda path: (warmed.append(path), go_on.wait(HANG), "")[2])
     checks = interpreter.PythonChecks()
     checks.ask("python")
-    wait_for(lambda: checks.warming("python"))
+    wait_until(lambda: checks.warming("python"))
     assert checks.known("python") == answer
     go_on.set()
-    wait_for(lambda: not checks.warming("python"))
+    wait_until(lambda: not checks.warming("python"))
     checks.ask("python")
-    wait_for(lambda: not checks.asking("python"))
+    wait_until(lambda: not checks.asking("python"))
     assert warmed == ["python"]
-
-
-def wait_for(condition, seconds=10):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.005)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="shell scripts stand in for interpreters")
@@ -261,10 +266,8 @@ def test_finding_an_interpreter_starts_none(tmp_path, monkeypatch):
 
 def test_imports_with_numpy_alone():
     """What Blender imports of the worker needs nothing but numpy."""
-    code = (
-        "import sys\n"
-        "for name in ('torch', 'numba', 'scipy', 'PIL'): sys.modules[name] = None\n"
+    imports = (
         "import gskin_addon.core.worker.client, gskin_addon.core.job.contract\n"
         "import gskin_addon.core.worker.interpreter\n"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    assert output_without(("torch", "numba", "scipy", "PIL"), imports) == ""

@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import worker_jobs as jobs
+from patience import HANG, wait_until
 
 import gskin_addon
 from gskin_addon.core.job import contract
@@ -33,7 +34,7 @@ def start(folder: Path, program: Path = jobs.FAKE, **kwargs) -> subprocess.Popen
     return subprocess.Popen([sys.executable, "-u", program, folder], stdout=subprocess.PIPE, **kwargs)
 
 
-def finish(worker: subprocess.Popen[bytes], timeout: float = 60) -> tuple[list[dict], str]:
+def finish(worker: subprocess.Popen[bytes], timeout: float = HANG) -> tuple[list[dict], str]:
     """The lines and stderr of a worker, its stdin left open until it ends."""
     lines = [json.loads(line) for line in worker.stdout]
     worker.wait(timeout)
@@ -53,11 +54,9 @@ def alive(pid: int) -> bool:
     return False
 
 
-def gone(pid: int, within: float) -> bool:
-    until = time.monotonic() + within
-    while alive(pid) and time.monotonic() < until:
-        time.sleep(0.02)
-    return not alive(pid)
+def gone(pid: int) -> bool:
+    wait_until(lambda: not alive(pid), f"process {pid} lives on")
+    return True
 
 
 def test_a_job_runs_to_its_end(tmp_path):
@@ -94,23 +93,21 @@ def test_null_stdin_is_no_cancel(tmp_path):
 @pytest.mark.parametrize("act", ["talk", "deaf"])
 @pytest.mark.parametrize("how", ["pipe", "SIGTERM", "SIGINT"])
 @linux
-def test_cancel_within_a_second(tmp_path, act, how):
+def test_cancel_ends_whatever_it_does(tmp_path, act, how):
     folder = jobs.make_job(tmp_path, act=act)
     worker = start(folder)
     wait_for(worker, act)
     time.sleep(0.3)
     computing = int((folder / "checkpoint" / "pid").read_text())
-    began = time.monotonic()
     if how == "pipe":
         worker.stdin.close()
     else:
         worker.send_signal(getattr(signal, how))
     lines, _ = finish(worker)
-    assert time.monotonic() - began < 1.0
     assert worker.returncode == 130
     assert lines[-1]["stage"] == "error"
     assert lines[-1]["exit_code"] == 130
-    assert gone(computing, 0.5)
+    assert gone(computing)
     assert not contract.is_finished(folder)
 
 
@@ -132,10 +129,10 @@ def test_a_signal_may_come_at_any_moment():
             return trace
 
         sys.settrace(trace)
-        sys.exit(supervisor.supervise([sys.executable, "-c", "import time; time.sleep(60)"]))
+        sys.exit(supervisor.supervise([sys.executable, "-c", "import time; time.sleep(600)"]))
     """)
     run = subprocess.run(
-        [sys.executable, "-c", code], stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=10
+        [sys.executable, "-c", code], stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=HANG
     )
     assert run.returncode == 130, run.stderr
 
@@ -156,8 +153,8 @@ def test_dies_with_a_parent_that_was_killed(tmp_path):
     assert alive(computing)
     parent.kill()
     parent.wait()
-    assert gone(supervisor, 1.5)
-    assert gone(computing, 1.5)
+    assert gone(supervisor)
+    assert gone(computing)
 
 
 @linux
@@ -167,7 +164,7 @@ def test_computing_dies_with_a_supervisor_that_was_killed(tmp_path):
     wait_for(worker, "deaf")
     computing = int((folder / "checkpoint" / "pid").read_text())
     worker.kill()
-    assert gone(computing, 1.5)
+    assert gone(computing)
 
 
 def test_an_error_comes_with_its_traceback(tmp_path):
@@ -192,9 +189,7 @@ def test_a_crash_gets_a_last_word(tmp_path, act, words):
 def test_killed_in_the_middle_goes_on(tmp_path):
     folder = jobs.make_job(tmp_path, act="resume")
     worker = start(folder)
-    while not (folder / "checkpoint" / "step").exists():
-        time.sleep(0.01)
-    time.sleep(0.1)
+    wait_until((folder / "checkpoint" / "step").exists)
     os.kill(int((folder / "checkpoint" / "pid").read_text()), signal.SIGKILL)
     lines, _ = finish(worker)
     assert worker.returncode == 1
@@ -283,9 +278,27 @@ def test_runs_as_a_module(tmp_path):
     assert "does not exist" in json.loads(run.stdout.splitlines()[-1])["error"]
 
 
+def test_the_default_job_needs_numpy_only(tmp_path):
+    folder = jobs.make_job(tmp_path / "job")
+    bare = tmp_path / "modules"
+    bare.mkdir()
+    for name in ("numpy", "numpy.libs"):
+        site = Path(np.__file__).parents[1] / name
+        if site.exists():
+            (bare / name).symlink_to(site, target_is_directory=True)
+    run = subprocess.run(
+        [sys.executable, "-S", PROGRAM, "--compute", folder],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        env={**os.environ, "PYTHONPATH": str(bare)},
+    )
+    assert run.returncode == 0, run.stderr
+    assert contract.is_finished(folder)
+
+
 def test_interpreter_without_torch(tmp_path):
     # -S hides what is installed; a path with links to all needed modules but torch shows the rest.
-    folder = jobs.make_job(tmp_path / "job")
+    folder = jobs.make_job(tmp_path / "job", guidance="elastic")
     bare = tmp_path / "modules"
     bare.mkdir()
     for name in ("numpy", "scipy", "numba", "llvmlite", "numpy.libs", "scipy.libs"):
@@ -303,6 +316,28 @@ def test_interpreter_without_torch(tmp_path):
     assert "lacks torch" in last["error"]
     assert "-m pip install torch" in last["error"]
     assert sys.executable in last["error"]
+
+
+def test_numpy_loads_with_one_thread_unless_told_otherwise(tmp_path):
+    code = textwrap.dedent(f"""
+        import os, runpy, sys
+        class Watch:
+            def find_spec(self, name, path=None, target=None):
+                if name == "numpy":
+                    print(os.environ.get("OPENBLAS_NUM_THREADS"), file=sys.stderr)
+        sys.meta_path.insert(0, Watch())
+        module = runpy.run_path({str(PROGRAM)!r})
+        module["main"](["--compute", {str(tmp_path / "none")!r}])
+    """)
+    for asked, expected in ((None, "1"), ("3", "3")):
+        environment = {k: v for k, v in os.environ.items() if k != "OPENBLAS_NUM_THREADS"}
+        environment |= {"OPENBLAS_NUM_THREADS": asked} if asked else {}
+        run = subprocess.run(
+            [sys.executable, "-c", code], stdin=subprocess.DEVNULL, capture_output=True, text=True, env=environment
+        )
+        words = [line for line in run.stderr.splitlines() if line in ("None", "1", "3")]
+        assert words
+        assert words[-1] == expected
 
 
 def test_interpreter_without_anything(tmp_path):

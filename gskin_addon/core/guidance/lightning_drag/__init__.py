@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from .. import consent
 from ..diffusion import DiffusionGuidance, choose_offload, compute_device, device_memory
 from ..model_files import require
 from ..options import LightningDragOptions
@@ -33,7 +34,9 @@ def create(context: GuidanceContext) -> DiffusionGuidance:
     options = LightningDragOptions.parse(context.options, "lightning_drag")
     for package in ("torch", "diffusers", "transformers", "safetensors"):
         require(package, "The lightning_drag guidance")
-    files = find_files(options, lambda message: context.tick(0.0, message))
+    files = find_files(
+        options, lambda message: context.tick(0.0, message), allow_download=consent.is_given()
+    )
     tuned = files.fine_tuned()
     most = options.max_points
     if most < 0:

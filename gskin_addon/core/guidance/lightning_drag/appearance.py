@@ -28,7 +28,7 @@ def absent_keys(unet: Any) -> set[str]:
 
 
 class _Nothing(nn.Module):
-    """Stands for a part whose output nobody reads."""
+    """Replaces a part whose output is not used."""
 
     def forward(self, x: torch.Tensor, *_: Any, **__: Any) -> torch.Tensor:
         return torch.zeros_like(x)

@@ -122,8 +122,15 @@ def _all_patterns(files: ModelFiles) -> list[str]:
     return [name for need in files.needs for name in ((need,) if isinstance(need, str) else need)]
 
 
-def find_files(options: LightningDragOptions, tell: Callable[[str], None] = lambda message: None) -> Files:
+def find_files(
+    options: LightningDragOptions,
+    tell: Callable[[str], None] = lambda message: None,
+    *,
+    allow_download: bool = False,
+) -> Files:
     """The folders that `options` name, all complete; the base model has a UNet for inpainting.
+
+    allow_download: the person agreed to fetch what is missing; `tell` hears of it first.
 
     Raises:
         InputError: something is not named, not there, or not what it should be.
@@ -132,7 +139,7 @@ def find_files(options: LightningDragOptions, tell: Callable[[str], None] = lamb
     found = {}
     for role in roles:
         name = getattr(options, role) or (str(Path(options.models).expanduser() / role) if options.models else "")
-        found[role] = find_model(name, ROLES[role], allow_download=options.allow_download, tell=tell)
+        found[role] = find_model(name, ROLES[role], allow_download=allow_download, tell=tell)
     files = Files(**found)
     check_base(read_table(files.base / "unet/config.json"), files.base)
     return files

@@ -15,7 +15,7 @@ from torch.nn import functional
 from ..diffusion import Frame, Tick, generator
 from .appearance import appearance_bank
 from .image_tokens import clip_pixels
-from .point_maps import check_size, point_maps, spread_points
+from .point_maps import check_size, farthest_points, point_maps
 from .processors import Guide
 from .weights import LightningDrag
 
@@ -157,7 +157,7 @@ class LightningDragPainter:
         """For 2 B latents: the first half does not see the points, the second does."""
         maps = []
         for frame in frames:
-            points = spread_points(frame.signal.handles, frame.signal.targets, self._max_points)
+            points = farthest_points(frame.signal.handles, frame.signal.targets, self._max_points)
             maps.append(point_maps(*points, *frame.mask.shape))
         handles, targets = self.model.point_embedding(torch.from_numpy(np.stack(maps)).to(self._device, self._dtype))
         shown = torch.tensor([0.0, 1.0]).repeat_interleave(len(frames)).to(self._device, self._dtype)[:, None, None]

@@ -40,7 +40,7 @@ def point_maps(handles: NDArray[Any], targets: NDArray[Any], height: int, width:
     return maps
 
 
-def spread_points(handles: NDArray[Any], targets: NDArray[Any], most: int) -> tuple[NDArray[Any], NDArray[Any]]:
+def farthest_points(handles: NDArray[Any], targets: NDArray[Any], most: int) -> tuple[NDArray[Any], NDArray[Any]]:
     """At most `most` of the K pairs (K, 2), (K, 2), far from each other, in their order; 0 means all.
 
     Farthest-point sampling on (handle, target) in pixels; it starts at the pair that moves most.

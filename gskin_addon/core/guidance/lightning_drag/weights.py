@@ -13,7 +13,7 @@ import torch
 from torch import nn
 
 from ...errors import InputError
-from ..model_files import first_line, load_tensors
+from ..model_files import check_pickle_reader, first_line, load_tensors
 from .appearance import absent_keys, prune
 from .files import APPEARANCE, ATTENTION, POINTS, Files, read_table
 from .image_tokens import ImageTokens
@@ -216,6 +216,9 @@ def _pretrained(kind: Any, folder: Path, what: str, **settings: Any) -> Any:
         for end in ("safetensors", "bin")
     ):
         settings["variant"] = "fp16"
+    pickles = sorted(name for name in names if name.endswith(".bin"))
+    if pickles and not any(name.endswith(".safetensors") for name in names):
+        check_pickle_reader(what, folder / pickles[0])
     try:
         model, report = kind.from_pretrained(folder, local_files_only=True, output_loading_info=True, **settings)
     except Exception as error:  # each library has its own

@@ -15,7 +15,7 @@ from ...errors import InputError
 from ..camera import Camera
 from .blend import backward_tiles, forward_tiles
 from .project import CAMERA, RECORD, TILE, count_tiles, depth_order, fill_tiles, project, project_backward
-from .threads import row_ranges, run_tasks, spread, thread_count
+from .threads import parallel_for, row_ranges, run_tasks, thread_count
 
 Array = NDArray[np.float32]
 ImageLoss = Callable[[Array, Array], tuple[float, Array]]
@@ -53,23 +53,9 @@ def camera_vector(camera: Camera, dilation: float = DILATION, compensate: float 
     return c
 
 
-def morton_order(points: ArrayLike) -> NDArray[np.int64]:
-    """Order (N,) of points (N,3) along a Morton curve: neighbours in space become neighbours in memory."""
-    p = np.asarray(points, np.float64)
-    lower, extent = p.min(axis=0), np.ptp(p, axis=0)
-    cells = ((p - lower) / np.maximum(extent.max(), 1e-30) * 1023).astype(np.uint64)
-    code = np.zeros(len(p), np.uint64)
-    for axis in range(3):
-        c = cells[:, axis]
-        for shift, mask in ((16, 0x30000FF), (8, 0x300F00F), (4, 0x30C30C3), (2, 0x9249249)):
-            c = (c | (c << np.uint64(shift))) & np.uint64(mask)
-        code |= c << np.uint64(axis)
-    return np.argsort(code, kind="stable")
-
-
 @dataclass(frozen=True)
 class Frame:
-    """What a forward pass leaves for its backward pass; `image` (H,W,3) and `alpha` (H,W) are its result."""
+    """What a forward pass stores for its backward pass; `image` (H,W,3) and `alpha` (H,W) are its result."""
 
     image: Array
     alpha: Array
@@ -119,12 +105,12 @@ class CpuScene:
         ga = np.zeros((0, 0), np.float32) if grad_alpha is None else np.ascontiguousarray(grad_alpha, np.float32)
         f = frame
         sums = np.empty((len(f.owner), 6), np.float32)
-        spread(
+        parallel_for(
             backward_tiles, _tile_ranges(f.tile_start, f.threads), f.pixels, f.record, f.colors, f.tile_start, f.slots,
             f.owner, f.image, f.alpha, gi, ga, sums,
         )  # fmt: skip
         grad_means, grad_quats = np.empty_like(f.means), np.empty_like(f.quats)
-        spread(
+        parallel_for(
             project_backward, row_ranges(len(f.means), f.threads), f.means, f.quats, self.scales, f.camera,
             f.first_slot, sums, grad_means, grad_quats,
         )  # fmt: skip
@@ -194,7 +180,7 @@ class CpuScene:
         vector = camera_vector(camera, self.dilation, self.compensate)
         pixels, record, depth = np.empty((n, 2)), np.empty((n, RECORD), np.float32), np.zeros(n, np.float32)
         rect, tiles = np.empty((n, 4), np.int32), np.empty(n, np.int32)
-        spread(
+        parallel_for(
             project, row_ranges(n, threads), m, q, self.scales, self.opacities, vector, width, height, pixels, record,
             depth, rect, tiles,
         )  # fmt: skip
@@ -208,7 +194,7 @@ class CpuScene:
         image, alpha = np.empty((height, width, 3), np.float32), np.empty((height, width), np.float32)
         weight = np.zeros(len(owner), np.float32) if weights else _NONE
         back = np.ascontiguousarray(background, np.float32)
-        spread(
+        parallel_for(
             forward_tiles, _tile_ranges(tile_start, threads), pixels, record, c, back, tile_start, slots, owner, image,
             alpha, weight,
         )  # fmt: skip
@@ -282,7 +268,7 @@ def prepare(
     """A scene of scales (N,3) linear, colors (N,3) and opacities (N,) in 0..1, which carry no gradient.
 
     `dilation` is added to the image covariance (pixels^2). `compensate` = e multiplies each opacity by
-    sqrt(det(S + e) / det(S + dilation)), as Mip-Splatting does with e = 0: a low-resolution stage takes
-    e = dilation (size / 512)^2 and then looks like a 512 px image made small.
+    sqrt(det(S + e) / det(S + dilation)), as Mip-Splatting does with e = 0: a low-resolution stage uses e = dilation
+    (size / 512)^2, which makes its renders match downscaled 512 px images.
     """
     return CpuScene(*check_scene(scales, colors, opacities), float(dilation), compensate)

@@ -40,7 +40,7 @@ def run_tasks(tasks: Sequence[Callable[[], None]]) -> None:
             future.result()
 
 
-def spread(kernel: Callable[..., None], ranges: Sequence[tuple[int, int]], *args: Any) -> None:
+def parallel_for(kernel: Callable[..., None], ranges: Sequence[tuple[int, int]], *args: Any) -> None:
     """Run kernel(lo, hi, *args) for every range (lo, hi)."""
     run_tasks([partial(kernel, lo, hi, *args) for lo, hi in ranges])
 

@@ -40,8 +40,8 @@ def find_device() -> Any:
 
 
 @dataclass(frozen=True)
-class Batch:
-    """What a forward pass of P images leaves for its backward pass, all on the device."""
+class ForwardState:
+    """What a forward pass of P images stores for its backward pass, all on the device."""
 
     means: Any
     quats: Any
@@ -60,19 +60,19 @@ class Batch:
 class WarpFrame:
     """The Frame of one image; `image` (H,W,3) and `alpha` (H,W) are fetched when they are read."""
 
-    batch: Batch
+    state: ForwardState
 
     @cached_property
     def image(self) -> Array:
-        return self.batch.image.numpy()[0]
+        return self.state.image.numpy()[0]
 
     @cached_property
     def alpha(self) -> Array:
-        return self.batch.alpha.numpy()[0]
+        return self.state.alpha.numpy()[0]
 
 
 class WarpScene:
-    """A scene on a Warp device; see cpu.CpuScene for what its methods mean."""
+    """A scene on a Warp device; see cpu.CpuScene for its methods."""
 
     def __init__(
         self, scales: Array, colors: Array, opacities: Array, dilation: float, compensate: float | None
@@ -95,8 +95,8 @@ class WarpScene:
         c = None if colors is None else np.ascontiguousarray(colors, np.float32)
         m, q = check_splats(means, quats, c, self.count)
         own = self._colors if c is None else self._upload(c, wp.vec3)
-        batch = self._forward(self._upload(m, wp.vec3), self._upload(q, wp.vec4), [camera], background, own)
-        return WarpFrame(batch)
+        state = self._forward(self._upload(m, wp.vec3), self._upload(q, wp.vec4), [camera], background, own)
+        return WarpFrame(state)
 
     def backward(
         self, frame: WarpFrame, grad_image: ArrayLike, grad_alpha: ArrayLike | None = None
@@ -104,7 +104,7 @@ class WarpScene:
         """Gradients to means (N,3) and quats (N,4) from those to the image (H,W,3) and to alpha (H,W)."""
         gi = self._upload(np.ascontiguousarray(grad_image, np.float32)[None], wp.float32)
         ga = None if grad_alpha is None else np.ascontiguousarray(grad_alpha, np.float32)[None]
-        grad_means, grad_quats = self._backward(frame.batch, gi, ga if ga is None else self._upload(ga, wp.float32))
+        grad_means, grad_quats = self._backward(frame.state, gi, ga if ga is None else self._upload(ga, wp.float32))
         return grad_means.numpy(), grad_quats.numpy()
 
     def render(
@@ -131,12 +131,12 @@ class WarpScene:
         values = np.zeros(len(cameras))
 
         def step(part: slice) -> None:
-            batch = self._forward(
+            state = self._forward(
                 self._upload(m[part].reshape(-1, 3), wp.vec3), self._upload(q[part].reshape(-1, 4), wp.vec4),
                 cameras[part], background, self._colors,
             )  # fmt: skip
-            values[part], grad_image = image_losses(batch.image, batch.alpha, losses[part])
-            grads = self._backward(batch, grad_image, None)
+            values[part], grad_image = image_losses(state.image, state.alpha, losses[part])
+            grads = self._backward(state, grad_image, None)
             grad_means[part], grad_quats[part] = (
                 g.numpy().reshape(-1, self.count, width) for g, width in zip(grads, (3, 4), strict=True)
             )
@@ -152,9 +152,15 @@ class WarpScene:
         losses: Sequence[ImageLoss],
         background: ArrayLike = (1.0, 1.0, 1.0),
     ) -> tuple[NDArray[np.float64], Tensor, Tensor]:
-        """render_and_grad_many of torch tensors that are on the scene's device: nothing but values leaves it."""
+        """render_and_grad_many of torch tensors that are on the scene's device: nothing but values leaves it.
+
+        Raises ValueError for tensors elsewhere, which a kernel on a GPU could not read.
+        """
         import torch
 
+        for tensor in (means, quats):
+            if str(tensor.device) != self.tensor_device:
+                raise ValueError(f"a tensor on {tensor.device} for a scene on {self.tensor_device}")
         m, q = means.detach().to(torch.float32).contiguous(), quats.detach().to(torch.float32).contiguous()
         grad_means, grad_quats = torch.empty_like(m), torch.empty_like(q)
         values = np.zeros(len(cameras))
@@ -164,9 +170,9 @@ class WarpScene:
                 wp.from_torch(t[part].view(-1, t.shape[-1]), dtype=wp.vec3 if t.shape[-1] == 3 else wp.vec4)
                 for t in (m, q, grad_means, grad_quats)
             ]
-            batch = self._forward(view[0], view[1], cameras[part], background, self._colors)
-            values[part], grad_image = image_losses(batch.image, batch.alpha, losses[part])
-            self._backward(batch, grad_image, None, (view[2], view[3]))
+            state = self._forward(view[0], view[1], cameras[part], background, self._colors)
+            values[part], grad_image = image_losses(state.image, state.alpha, losses[part])
+            self._backward(state, grad_image, None, (view[2], view[3]))
 
         # Warp and torch have streams of their own; in torch's, each sees what the other did before.
         with wp.ScopedStream(wp.stream_from_torch(torch.cuda.current_stream(m.device)) if m.is_cuda else None):
@@ -201,7 +207,7 @@ class WarpScene:
         background: ArrayLike,
         colors: Any,
         most: Any = None,
-    ) -> Batch:
+    ) -> ForwardState:
         """Images of P cameras of one size from means and quats (P*N,) on the device."""
         n, poses = self.count, len(cameras)
         height, width = cameras[0].size
@@ -244,26 +250,26 @@ class WarpScene:
             [columns, rows, width, height, start, records, wp.vec3(*map(float, np.asarray(background))), slots, owner],
             [image, alpha, most],
         )  # fmt: skip
-        return Batch(means, quats, views, last_slot, tiles, start, records, slots, pairs, image, alpha)
+        return ForwardState(means, quats, views, last_slot, tiles, start, records, slots, pairs, image, alpha)
 
-    def _backward(self, batch: Batch, grad_image: Any, grad_alpha: Any, out: Any = None) -> tuple[Any, Any]:
+    def _backward(self, state: ForwardState, grad_image: Any, grad_alpha: Any, out: Any = None) -> tuple[Any, Any]:
         """Gradients (P*N,) on the device; written to `out` where given."""
-        poses, height, width, _ = batch.image.shape
+        poses, height, width, _ = state.image.shape
         columns, rows = (width + TILE - 1) // TILE, (height + TILE - 1) // TILE
         total = poses * self.count
-        partial = wp.zeros(batch.pairs, dtype=sums6, device=self.device)
+        partial = wp.zeros(state.pairs, dtype=sums6, device=self.device)
         if grad_alpha is None:
             grad_alpha = self._empty((0, 0, 0), wp.float32)
         self._launch(
             blend_backward, poses * columns * rows * LANES,
-            [columns, rows, width, height, batch.start, batch.records, batch.slots, batch.image, batch.alpha,
+            [columns, rows, width, height, state.start, state.records, state.slots, state.image, state.alpha,
              grad_image, grad_alpha],
             [partial],
         )  # fmt: skip
         grads = out or (self._empty(total, wp.vec3), self._empty(total, wp.vec4))
         self._launch(
             project_backward, total,
-            [self.count, batch.means, batch.quats, self._scales, batch.cameras, batch.last_slot, batch.tiles, partial],
+            [self.count, state.means, state.quats, self._scales, state.cameras, state.last_slot, state.tiles, partial],
             list(grads),
         )  # fmt: skip
         return grads[0], grads[1]

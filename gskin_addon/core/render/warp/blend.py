@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Warp kernels that blend sorted splats into pixels, forward and backward; the meaning is in cpu_blend.
+"""Warp kernels that blend sorted splats into pixels, forward and backward; see cpu/blend.py for the equations.
 
 A tile of 16 x 16 pixels belongs to the 32 threads of one hardware warp: a thread has eight pixels of a column, in
 registers, and adds up their gradients before the warp does. So there is one sum per splat and tile, written once:
@@ -133,7 +133,7 @@ def blend_backward(
     columns: int, rows: int, width: int, height: int, start: Ints, records: Records, slots: Ints, image: Images,
     alpha: Masks, grad_image: Images, grad_alpha: Masks, partial: Sums,
 ) -> None:  # fmt: skip
-    """Add to `partial` (pairs,), zero before, the sums of every (splat, tile) pair; see warp_project.sums6.
+    """Add to `partial` (pairs,), zero before, the sums of every (splat, tile) pair; see project.sums6.
 
     grad_image (P,H,W,3) and grad_alpha (P,H,W; empty for none) are the gradients of the loss to the images.
     """

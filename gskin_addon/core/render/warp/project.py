@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Warp kernels that take splats of many images to the image plane, and gradients back; see cpu_project.
+"""Warp kernels that take splats of many images to the image plane, and gradients back; see cpu/project.py.
 
 The same arithmetic as the CPU's, in float64: a few hundred operations per splat, which even a GPU without fast
 float64 has time for. Images of a batch (P) have one size; a camera is a row of `cpu.camera_vector`.
@@ -14,7 +14,7 @@ wp.set_module_options({"enable_backward": False})
 
 mat23d = wp.types.matrix(shape=(2, 3), dtype=wp.float64)
 sums6 = wp.types.vector(length=6, dtype=wp.float32)
-"""Sums over pixels of v, v dx, v dy, v dx^2, v dx dy, v dy^2; see cpu_project.project_backward."""
+"""Sums over pixels of v, v dx, v dy, v dx^2, v dx dy, v dy^2; see cpu/project.py: project_backward."""
 
 double = wp.float64
 Cameras = wp.array2d(dtype=wp.float64)
@@ -95,7 +95,7 @@ def jacobian(point: wp.vec3d, u: wp.float64, v: wp.float64, cameras: Cameras, p:
 
 
 @wp.func
-def spread(T: mat23d, R: wp.mat33d, scale: wp.vec3):
+def covariance_factor(T: mat23d, R: wp.mat33d, scale: wp.vec3):
     """U = T R diag(s), whose square is the image covariance."""
     U = T @ R
     s0 = double(scale[0])
@@ -139,7 +139,7 @@ def project(
     if not (z > cameras[p, 14]) or inverse == double(0.0):
         return
     u, v = slopes(point, cameras, p)
-    U = spread(jacobian(point, u, v, cameras, p), rotation(q), scales[i])
+    U = covariance_factor(jacobian(point, u, v, cameras, p), rotation(q), scales[i])
     xx, xy, yy, det = covariance(U, cameras[p, 20])
     if not (det > double(0.0) and wp.isfinite(det)):
         return
@@ -227,7 +227,7 @@ def project_backward(
     R = rotation(q)
     W = camera_rotation(cameras, p)
     T = jacobian(point, u, v, cameras, p)
-    U = spread(T, R, scales[i])
+    U = covariance_factor(T, R, scales[i])
     xx, xy, yy, det = covariance(U, cameras[p, 20])
     a = yy / det
     b = -xy / det

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
-from inspect import signature
 from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
@@ -25,6 +24,23 @@ WEIGHT_FIELDS = {
 }
 DEFAULT_FIELD = "pyramid"
 
+LOG_FLOOR = 1e-4
+"""Least initial weight. Eq. (7) gives far bones about 1e-6; their logits must stay within reach of Adam."""
+
+OPTIONS: dict[str, tuple[str, ...]] = {
+    "pyramid": ("resolutions",),
+    "volume": ("resolution", "width", "start", "fit_steps"),
+}
+"""By name, the options that a field's `create` takes."""
+
+
+def check_options(name: str, options: Mapping[str, Any]) -> None:
+    """Raise InputError unless the field `name` has these options; what their values may be is up to the field."""
+    known = OPTIONS[name]
+    unknown = sorted(set(options) - set(known))
+    if unknown:
+        raise InputError(f"The weight field '{name}' has no option {', '.join(unknown)}; it has {', '.join(known)}.")
+
 
 def create_field(
     name: str, points: NDArray[Any], initial: NDArray[Any], options: Mapping[str, Any] | None = None
@@ -36,10 +52,7 @@ def create_field(
     """
     if name not in WEIGHT_FIELDS:
         raise InputError(f"There is no weight field '{name}': choose one of {', '.join(WEIGHT_FIELDS)}.")
+    check_options(name, options or {})
     create = import_module(f".{name}", __name__).create
-    known = list(signature(create).parameters)[2:]
-    unknown = sorted(set(options or {}) - set(known))
-    if unknown:
-        raise InputError(f"The weight field '{name}' has no option {', '.join(unknown)}; it has {', '.join(known)}.")
     field: WeightField = create(points, initial, **(options or {}))
     return field

@@ -10,12 +10,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-LOG_FLOOR = 1e-4
-"""Least initial weight. Eq. (7) gives far bones about 1e-6; their logits must stay within reach of Adam."""
+from . import LOG_FLOOR
 
 
 class WeightField(torch.nn.Module):
-    """weights = softmax(log of the initial weights + what was learned), at the N splats it was made for.
+    """weights = softmax(log of the initial weights + learned logits), at the N splats that it was made for.
 
     rate: Adam's learning rate as a factor of the preset's, which is meant for parameters that are logits.
     """
@@ -31,15 +30,12 @@ class WeightField(torch.nn.Module):
         self._prior: torch.Tensor
 
     def initial(self) -> torch.Tensor:
-        """The initial weights (N, B) as the field takes them: at least about `LOG_FLOOR`."""
+        """The initial weights (N, B) of the field: at least about `LOG_FLOOR`."""
         return self._prior.exp()
 
-    def unlock(self, part: float) -> None:
-        """Told before each iteration what part of the run is done; fields that learn in stages override it."""
-
     def query(self, points: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.bool_]] | None:
-        """Learned logits (M, B) at other points (M, 3), and where they are known (M,); None where a field is no
-        function of space, or cannot be asked."""
+        """Learned logits (M, B) at other points (M, 3), and where they are known (M,); None if the field is no function
+        of space or cannot be evaluated elsewhere."""
         return None
 
     @abstractmethod

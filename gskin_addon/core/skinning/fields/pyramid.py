@@ -16,14 +16,14 @@ from .sparse import Cube, SparseProduct, corners_and_weights, flat_key, trilinea
 
 PYRAMID = (8, 16, 32, 64)
 STORED = 0.5
-"""Trilinear weight of the stored corners from which on they speak for a point."""
+"""Least trilinear weight of the stored corners at which a point counts as known."""
 
 
 class SparsePyramid(WeightField):
     """Residual logits on voxel grids of several sizes: residual(x) = sum_l trilinear(theta_l, x).
 
     Only voxel corners next to a splat are stored. Being trilinear in space is what gives the local
-    smoothness that the paper gets from its CNN volume (Sec. III-D), at a small part of the cost.
+    smoothness that the paper gets from its CNN volume (Sec. III-D), at a fraction of the cost.
     """
 
     def __init__(
@@ -47,7 +47,8 @@ class SparsePyramid(WeightField):
         return logits
 
     def query(self, points: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-        """Learned logits (M, B) at points (M, 3), known (M,) where most of each grid's corners around are stored."""
+        """Learned logits (M, B) at points (M, 3), known (M,): where most of the surrounding corners are stored in each
+        grid."""
         unit = self._cube.unit(points)
         theta = self.theta.detach().numpy()
         logits, known = np.zeros((len(points), theta.shape[1]), np.float32), np.ones(len(points), bool)
@@ -71,6 +72,7 @@ def create(points: NDArray[Any], initial: NDArray[Any], resolutions: Sequence[in
     Raises:
         InputError: no resolutions, or one that is not a whole number from 2 up.
     """
-    if not resolutions or any(not isinstance(size, int) or size < 2 for size in resolutions):
+    sizes = resolutions if isinstance(resolutions, list | tuple) else ()
+    if not sizes or any(not isinstance(size, int) or size < 2 for size in sizes):
         raise InputError(f"The pyramid's resolutions are {resolutions!r}; they must be whole numbers from 2 up.")
     return SparsePyramid(points, initial, resolutions)

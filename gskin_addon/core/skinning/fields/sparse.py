@@ -71,15 +71,15 @@ class Cube:
     def around(cls, points: NDArray[Any]) -> Cube:
         """The cube of the longest extent of points (N, 3).
 
-        The paper puts the lowest corner of the bounding box into the lowest corner of the cube, which leaves all
-        room of the short axes on one side; here the box is centred. Strays must not stretch the cube: it spans
-        the 0.1 to 99.9 percentiles.
+        The paper puts the lowest corner of the bounding box into the lowest corner of the cube, which leaves all free
+        space along the short axes on one side; here the box is centred. Strays must not stretch the cube: it spans the
+        0.1 to 99.9 percentiles.
         """
         lower, upper = np.percentile(np.asarray(points, np.float64), [0.1, 99.9], axis=0)
         return cls((lower + upper) / 2, max(float((upper - lower).max()), 1e-12) * 1.02)
 
     def unit(self, points: NDArray[Any]) -> NDArray[np.float64]:
-        """Points (N, 3) in [0, 1]^3; what lies outside is clamped to the sides."""
+        """Points (N, 3) in [0, 1]^3; points outside are clamped to the sides."""
         unit: NDArray[np.float64] = np.clip((np.asarray(points, np.float64) - self.middle) / self.side + 0.5, 0.0, 1.0)
         return unit
 
@@ -102,7 +102,7 @@ def trilinear_matrix(unit: NDArray[Any], resolution: int) -> tuple[Any, NDArray[
     """Interpolation weights of points in the unit cube on a grid of `resolution` values along each axis.
 
     The outermost values lie on the cube's sides (grid_sample's align_corners). Returns a scipy CSR matrix
-    (N, M) with columns only for the M grid corners next to a point, and their places (M, 3).
+    (N, M) with columns only for the M grid corners next to a point, and their positions (M, 3).
     """
     from scipy import sparse
 
@@ -114,6 +114,6 @@ def trilinear_matrix(unit: NDArray[Any], resolution: int) -> tuple[Any, NDArray[
 
 
 def flat_key(at: NDArray[Any], resolution: int) -> NDArray[np.int64]:
-    """Place (..., 3) in a grid as one number, the last axis fastest."""
+    """Position (..., 3) in a grid as one number, the last axis fastest."""
     key: NDArray[np.int64] = (at[..., 0] * resolution + at[..., 1]) * resolution + at[..., 2]
     return key

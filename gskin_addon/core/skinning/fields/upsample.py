@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Transposed convolution (kernel 4, stride 2, padding 1), computed only at the voxels that are asked for."""
+"""Transposed convolution (kernel 4, stride 2, padding 1), computed only at the requested voxels."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def sources(at: NDArray[Any]) -> NDArray[np.int64]:
 
 
 def coarse_places(at: NDArray[Any], coarse: int) -> NDArray[np.int64]:
-    """All places (M, 3) that the fine voxels `at` (N, 3) read in a grid of `coarse` voxels along each axis."""
+    """All positions (M, 3) that the fine voxels `at` (N, 3) read in a grid of `coarse` voxels along each axis."""
     read = sources(at).reshape(-1, 3)
     read = read[((read >= 0) & (read < coarse)).all(axis=1)]
     return np.stack(np.unravel_index(np.unique(flat_key(read, coarse)), (coarse,) * 3), axis=1)
@@ -39,7 +39,7 @@ class SparseUpsample(torch.nn.Module):
     """
 
     def __init__(self, fine: NDArray[Any], places: NDArray[Any], coarse: int, inputs: int, outputs: int) -> None:
-        """fine (N, 3): where outputs are wanted; places (M, 3): where the inputs lie, in key order."""
+        """fine (N, 3): voxels of the outputs; places (M, 3): voxels of the inputs, in key order."""
         super().__init__()
         # The weights of all taps: by parity of the fine voxel, then source (as in `sources`) and input channel.
         self.weight = torch.nn.Parameter(torch.empty(8, 8 * inputs, outputs))
@@ -56,7 +56,7 @@ class SparseUpsample(torch.nn.Module):
         )
 
     def forward(self, features: torch.Tensor) -> torch.Tensor:
-        """Inputs (M, inputs) at the coarse places -> outputs (N, outputs) at the fine ones."""
+        """Inputs (M, inputs) at the coarse voxels -> outputs (N, outputs) at the fine ones."""
         padded = torch.nn.functional.pad(features, (0, 0, 0, 1))
         parts = [
             _Taps.apply(padded, self.weight[number], gather)  # type: ignore[no-untyped-call]
@@ -66,7 +66,7 @@ class SparseUpsample(torch.nn.Module):
 
 
 class _Gather(torch.nn.Module):
-    """Rows of the padded features in the order of use, 8 for each output, and the way back."""
+    """Rows of the padded features in the order of use, 8 for each output, and the inverse index."""
 
     def __init__(self, rows: NDArray[np.int64], places: int) -> None:
         from scipy import sparse
@@ -81,7 +81,7 @@ class _Gather(torch.nn.Module):
 
 
 class _Taps(torch.autograd.Function):
-    """padded[rows] @ weight without keeping the gathered rows, which are 8 times the size of the features."""
+    """padded[rows] @ weight without storing the gathered rows, which take 8 times the memory of the features."""
 
     @staticmethod
     def forward(ctx, padded, weight, gather):  # type: ignore[no-untyped-def]

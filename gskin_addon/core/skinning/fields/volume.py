@@ -18,7 +18,7 @@ from .upsample import SparseUpsample, coarse_places
 LATENT = 256
 WIDTH = 1024
 SLOPE = 0.2
-"""Of the leaky ReLUs."""
+"""Negative slope of the leaky ReLUs."""
 FIT_RATE = 2e-3
 FIT_ENOUGH = 0.01
 """Root mean square error of a weight at which L_init counts as minimised."""
@@ -32,8 +32,8 @@ class WeightVolume(WeightField):
     Only voxels that a splat reads, directly or through later layers, are computed.
 
     start "prior": the prior is the log of the initial weights and the last layer is zero, so that step 0
-    equals the initial weights, as HumanNeRF does it. start "fit": the paper's own way, no prior; the decoder is
-    first trained to the initial weights by L_init (Eq. 8).
+    equals the initial weights, as HumanNeRF does it. start "fit": as in the paper, without a prior; the decoder is
+    first trained to reproduce the initial weights by L_init (Eq. 8).
     """
 
     # Parameters of a deep decoder, not logits: 0.1 as learning rate becomes 5e-4.
@@ -67,7 +67,7 @@ class WeightVolume(WeightField):
             at = places
         self.latent = torch.nn.Parameter(torch.empty(LATENT))
         self._expand = torch.nn.Linear(LATENT, width)
-        # The first convolution makes 2^3 voxels of one: only 8 of its 64 taps ever meet that one.
+        # The first convolution makes 2^3 voxels from one: only 8 of its 64 taps ever read it.
         self._first = torch.nn.Linear(width, 8 * widths[0])
         layers.reverse()
         self._layers = torch.nn.ModuleList(layers)

@@ -51,8 +51,8 @@ PRIOR = NAMES.index("heat")
 @dataclass(frozen=True)
 class Reach:
     """What the bones are to the splats, each (N, B): distances through the body; faced: the same by
-    `facing_distances`; heat, diffuse, hard: equilibria of faced distances with usual, weak and strong handles; plain:
-    of plain distances."""
+    `normal_weighted_distances`; heat, diffuse, hard: equilibria of faced distances with usual, weak and strong
+    handles; plain: of plain distances."""
 
     distances: Array
     faced: Array
@@ -94,7 +94,7 @@ def describe(
 ) -> Description:
     """The description of the splats at `rows` (M,), or of all.
 
-    points, normals (N, 3), the sign of a normal does not matter; out (N, 3): see `outward`; size: the object's
+    points, normals (N, 3), the sign of a normal does not matter; out (N, 3): see `outward_normals`; size: the object's
     diagonal.
     """
     rows = np.arange(len(points)) if rows is None else rows

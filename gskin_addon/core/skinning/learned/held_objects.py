@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...rig.nearest_points import nearest_points
 from ...rig.segments import BoneSegments, bone_segments, segment_distance
 from ...rig.skeleton import Skeleton
-from .parts import TOUCH, connected
+from ...splats.components import connected_components
+from .parts import TOUCH
 from .tree import ancestry
 
 Array = NDArray[Any]
@@ -113,9 +115,7 @@ def _straight_on(skeleton: Skeleton, bone: int, chains: list[Array]) -> int:
 
 def _pieces(points: Array) -> Array:
     """(N,) labels: splats that touch, or nearly, have the same."""
-    from scipy.spatial import cKDTree
-
-    count = len(points)
-    way, index = cKDTree(points).query(points, min(_LINKS + 1, count))
+    way, index = nearest_points(points, points, min(_LINKS + 1, len(points)))
     row, column = np.nonzero(way[:, 1:] < TOUCH * np.median(way[:, 1:]))
-    return connected(count, row, index[row, column + 1])
+    label = connected_components(len(points), row, index[row, column + 1])
+    return np.unique(label, return_inverse=True)[1].reshape(-1)

@@ -7,20 +7,24 @@ A model is one network or several of a shape, trained alike from different seeds
 from __future__ import annotations
 
 import json
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import numpy as np
 
 from ...errors import InputError
 from ...rig.bone_roles import ROLES
-
-if TYPE_CHECKING:
-    from .network import PriorNetwork
+from .features import NAMES
+from .network import PriorNetwork, Shape, parameter_shapes
+from .safetensors import read_safetensors
 
 FORMAT = "gskin-prior-2"
 SHIPPED = Path(__file__).with_name("prior.safetensors")
+
+_LARGEST = 4096  # of any size of a network
+_NOTHING = np.zeros(0, np.float32)
 
 
 @dataclass(frozen=True)
@@ -30,34 +34,6 @@ class ModelCard:
     left_out: tuple[str, ...]
     families: tuple[str, ...]
     training: Mapping[str, Any]
-
-
-def save_model(networks: Sequence[PriorNetwork], path: Path, card: ModelCard) -> None:
-    """Write half-precision weights; the file appears whole or not at all. All networks have the shape of the first."""
-    import torch
-    from safetensors.torch import save_file
-
-    from .features import NAMES
-
-    tensors = {
-        f"{number}.{name}": value.to(torch.float16 if value.ndim == 2 else torch.float32).contiguous()
-        for number, network in enumerate(networks)
-        for name, value in network.state_dict().items()
-    }
-    about = {
-        "networks": len(networks),
-        "shape": networks[0].shape.as_dict(),
-        "features": NAMES,
-        "roles": ROLES,
-        "left_out": card.left_out,
-        "families": card.families,
-        "training": dict(card.training),
-    }
-    # One entry only: safetensors keeps several in an order of its own, and equal trainings shall give equal bytes.
-    metadata = {FORMAT: json.dumps(about)}
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    save_file(tensors, temporary, metadata)
-    os.replace(temporary, path)
 
 
 def read_card(path: Path) -> ModelCard:
@@ -76,23 +52,19 @@ def load_model(path: Path) -> tuple[PriorNetwork, ...]:
     Raises:
         InputError: the file is missing, or no model of this program, or of another version.
     """
-    import torch
-
-    from .features import NAMES
-    from .network import PriorNetwork, Shape
-
     about, tensors = _open(path)
     if tuple(about["features"]) != NAMES or tuple(about.get("roles", ())) != ROLES:
         raise InputError(f"'{path}' was trained by another version of gskin; train it again with gskin train-prior.")
     try:
-        networks = tuple(PriorNetwork(Shape(**about["shape"])) for _ in range(about["networks"]))
-        for number, network in enumerate(networks):
-            start = f"{number}."
-            own = {k.removeprefix(start): v.to(torch.float32) for k, v in tensors.items() if k.startswith(start)}
-            network.load_state_dict(own)
-    except (RuntimeError, TypeError, ValueError) as error:
+        shape, number = _shape(about["shape"]), about["networks"]
+        if type(number) is not int or not 0 < number <= len(tensors):
+            raise ValueError("no networks")
+        return tuple(
+            PriorNetwork(shape, {name: tensors.get(f"{i}.{name}", _NOTHING) for name in parameter_shapes(shape)})
+            for i in range(number)
+        )
+    except (TypeError, ValueError) as error:
         raise InputError(f"'{path}' does not hold the weights that it says; train it again.") from error
-    return tuple(network.eval() for network in networks)
 
 
 def models_without(family: str, folder: Path) -> Path | None:
@@ -103,22 +75,23 @@ def models_without(family: str, folder: Path) -> Path | None:
     return None
 
 
+def _shape(sizes: Any) -> Shape:
+    shape = Shape(**sizes)
+    numbers = list(shape.as_dict().values())
+    if not all(type(n) is int and 0 <= n <= _LARGEST for n in numbers) or shape.heads < 1:
+        raise ValueError("sizes that no network has")
+    if shape.width % shape.heads or shape.features != len(NAMES) or shape.roles != len(ROLES):
+        raise ValueError("sizes that do not fit together")
+    return shape
+
+
 def _open(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], dict[str, Any]]:
     """What the file says of itself, and its tensors by name."""
-    try:
-        from safetensors import SafetensorError, safe_open
-    except ImportError as error:
-        raise InputError(
-            "The learned weights need the package safetensors in the worker's Python; "
-            "install it with pip install safetensors, or choose other initial weights."
-        ) from error
     if not path.is_file():
         raise InputError(f"The model '{path}' does not exist; name a file made by gskin train-prior.")
     try:
-        with safe_open(path, "pt") as file:
-            metadata = file.metadata() or {}
-            found = {name: file.get_tensor(name) for name in file.keys()} if tensors else {}  # noqa: SIM118
-    except (SafetensorError, OSError, ValueError) as error:
+        metadata, found = read_safetensors(path, tensors=tensors)
+    except (OSError, ValueError) as error:
         raise InputError(f"'{path}' is no safetensors file; name one made by gskin train-prior.") from error
     if FORMAT not in metadata:
         raise InputError(f"'{path}' holds no prior of gskin; name a file made by gskin train-prior.")

@@ -4,25 +4,41 @@
 Per splat a set of K bone tokens; attention among them with a bias for their kinship; a first softmax over the
 bones; its choice averaged over the splat's neighbourhoods and parts, and what all splats of the body have in common;
 attention once more; the final softmax, sharper or softer as the body asks for.
+
+Inference only, in numpy alone; what is trained is core/training/prior/torch_network.py, with the same parameters.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
-import torch
-from torch import Tensor, nn
-from torch.nn import functional
+import numpy as np
+from numpy.typing import NDArray
 
 from ...rig.bone_roles import ROLES
-from .features import NAMES, PRIOR
+from ...ticks import Tick, cores, silent, stretch, work
+from .features import NAMES, PRIOR, Description
+from .parts import Parts, label_means
 from .tree import RELATIONS
 
+Array = NDArray[Any]
+
 POOLS = 5
-_FAR = -1e4
-_SHARPEST = 1.5  # logarithm of the most that the logits may grow or shrink by
+DOUBT = 32
+"""Width of the layers inside `doubt` and `sharp`."""
+
+FAR = -1e4
+"""The logit of no bone."""
+
+SHARPEST = 1.5
+"""Logarithm of the most that the logits may grow or shrink by."""
+
+_BLOCK = 400  # splats at a time: small enough for the processor's cache
+_THREADS = 2
+_EPSILON = np.float32(1e-5)  # torch's, in its norms
 
 
 @dataclass(frozen=True)
@@ -45,177 +61,237 @@ class Shape:
 
 
 @dataclass
-class Batch:
-    """Descriptions of one or more bodies, splats in a row.
-
-    bone (N, K) int64, -1 where there is none; role (N, K) int64, see `bone_roles`; values (N, K, F); kin (N, K, K)
-    int64 relation of the token in the column to the one in the row; bodies: for each its slice of splats, number of
-    bones, neighbourhoods (n, k) and labels (n, 3) within the slice.
-    """
-
-    bone: Tensor
-    role: Tensor
-    values: Tensor
-    kin: Tensor
-    bodies: list[tuple[slice, int, list[Tensor], Tensor]]
-
-
-@dataclass
 class Answer:
     """first, final (N, K): logits, very negative where there is no bone; doubt (N,): logit of the expected share of
     weight on wrong bones."""
 
-    first: Tensor
-    final: Tensor
-    doubt: Tensor
+    first: Array
+    final: Array
+    doubt: Array
 
 
-class _Layer(nn.Module):
-    def __init__(self, width: int, heads: int) -> None:
-        super().__init__()
-        self.heads = heads
-        self.norm1, self.norm2 = nn.LayerNorm(width), nn.LayerNorm(width)
-        self.qkv, self.out = nn.Linear(width, 3 * width), nn.Linear(width, width)
-        self.widen, self.narrow = nn.Linear(width, 2 * width), nn.Linear(2 * width, width)
+def parameter_shapes(shape: Shape) -> dict[str, tuple[int, ...]]:
+    """Names and shapes of all that is learned, in the order of torch's modules."""
+    s, layers = shape, shape.before + shape.after
+    out: dict[str, tuple[int, ...]] = {"trust": (1,), "mean": (s.features,), "deviation": (s.features,)}
 
-    def forward(self, x: Tensor, bias: Tensor) -> Tensor:
-        count, tokens, width = x.shape
-        qkv = self.qkv(self.norm1(x)).view(count, tokens, 3, self.heads, width // self.heads)
-        q, k, v = qkv.permute(2, 0, 3, 1, 4)
-        scores = q @ k.transpose(-1, -2) * (width // self.heads) ** -0.5 + bias
-        mixed = (scores.softmax(-1) @ v).transpose(1, 2).reshape(count, tokens, width)
-        x = x + self.out(mixed)
-        inner = functional.dropout(functional.relu(self.widen(self.norm2(x))), 0.1, self.training)
-        out: Tensor = x + self.narrow(inner)
-        return out
+    def linear(name: str, inputs: int, outputs: int) -> None:
+        out[f"{name}.weight"], out[f"{name}.bias"] = (outputs, inputs), (outputs,)
+
+    def norm(name: str) -> None:
+        out[f"{name}.weight"] = out[f"{name}.bias"] = (s.width,)
+
+    linear("enter.0", s.features, s.width)
+    linear("enter.2", s.width, s.width)
+    out["role.weight"] = (s.roles, s.width)
+    for number in range(layers):
+        norm(f"layers.{number}.norm1")
+        norm(f"layers.{number}.norm2")
+        linear(f"layers.{number}.qkv", s.width, 3 * s.width)
+        linear(f"layers.{number}.out", s.width, s.width)
+        linear(f"layers.{number}.widen", s.width, 2 * s.width)
+        linear(f"layers.{number}.narrow", 2 * s.width, s.width)
+    out["kin.weight"] = (len(RELATIONS), s.heads * layers)
+    linear("first", s.width, 1)
+    linear("final", s.width, 1)
+    norm("norm")
+    norm("last_norm")
+    linear("say", s.width, s.channels)
+    linear("hear", POOLS * (1 + s.channels) + 1, s.width)
+    linear("doubt.0", s.width + 3, DOUBT)
+    linear("doubt.2", DOUBT, 1)
+    linear("style", 2 * s.width, s.style)
+    linear("restyle", s.style, s.width)
+    linear("sharp.0", s.width + s.style, DOUBT)
+    linear("sharp.2", DOUBT, 1)
+    return out
 
 
-class PriorNetwork(nn.Module):
+class PriorNetwork:
     """Scores the bones near each splat."""
 
-    mean: Tensor
-    deviation: Tensor
+    def __init__(self, shape: Shape, parameters: Mapping[str, Array]) -> None:
+        """parameters: by the names of `parameter_shapes`.
 
-    def __init__(self, shape: Shape | None = None) -> None:
-        super().__init__()
-        self.shape = s = shape or Shape()
-        self.register_buffer("mean", torch.zeros(s.features))
-        self.register_buffer("deviation", torch.ones(s.features))
-        self.enter = nn.Sequential(nn.Linear(s.features, s.width), nn.ReLU(), nn.Linear(s.width, s.width))
-        self.role = nn.Embedding(s.roles, s.width)
-        layers = s.before + s.after
-        self.layers = nn.ModuleList(_Layer(s.width, s.heads) for _ in range(layers))
-        self.kin = nn.Embedding(len(RELATIONS), s.heads * layers)
-        self.first = nn.Linear(s.width, 1)
-        self.final = nn.Linear(s.width, 1)
-        self.norm = nn.LayerNorm(s.width)
-        self.last_norm = nn.LayerNorm(s.width)
-        self.say = nn.Linear(s.width, s.channels)
-        self.hear = nn.Linear(POOLS * (1 + s.channels) + 1, s.width)
-        self.doubt = nn.Sequential(nn.Linear(s.width + 3, 32), nn.ReLU(), nn.Linear(32, 1))
-        self.style = nn.Linear(2 * s.width, s.style)
-        self.restyle = nn.Linear(s.style, s.width)
-        last = nn.Linear(32, 1)
-        self.sharp = nn.Sequential(nn.Linear(s.width + s.style, 32), nn.ReLU(), last)
-        self.trust = nn.Parameter(torch.ones(1))  # of the heat weights, where the logits start
-        for part in (self.first, self.final, self.kin, self.role, self.restyle, last):
-            nn.init.zeros_(part.weight)
-        for part in (self.restyle, last):
-            nn.init.zeros_(part.bias)
+        Raises:
+            ValueError: one is missing, or has another shape.
+        """
+        for name, wanted in parameter_shapes(shape).items():
+            if name not in parameters or parameters[name].shape != wanted:
+                raise ValueError(f"'{name}' is missing or not of shape {wanted}")
+        self.shape = shape
+        self.parameters = {
+            name: np.ascontiguousarray(parameters[name], np.float32) for name in parameter_shapes(shape)
+        }
 
-    def forward(self, batch: Batch) -> Answer:
-        missing = batch.bone < 0
-        x = self.enter((batch.values - self.mean) / self.deviation) + self.role(batch.role)
-        bias = self.kin(batch.kin).permute(3, 0, 1, 2) + missing[None, :, None, :] * _FAR
-        biases = bias.view(len(self.layers), self.shape.heads, *batch.kin.shape).transpose(1, 2)
-        for layer, b in zip(self.layers[: self.shape.before], biases, strict=False):
-            x = layer(x, b)
-        heat = self.trust * batch.values[..., PRIOR] + missing * _FAR
-        seen = self.norm(x)
-        first = heat + self.first(seen)[..., 0]
-        x = x + self._exchange(seen, first, batch)
-        style = self._style(seen, first, batch)
-        x = x + self.restyle(style)[:, None]
-        for layer, b in zip(self.layers[self.shape.before :], biases[self.shape.before :], strict=True):
-            x = layer(x, b)
-        seen = self.last_norm(x)
-        final = first + self.final(seen)[..., 0]
-        mixed = (final.softmax(-1)[..., None] * seen).sum(1)
-        final = final * torch.exp(_SHARPEST * torch.tanh(self.sharp(torch.cat([mixed, style], -1))))
-        final = final.clamp(min=_FAR)
-        return Answer(first, final, self._doubt(seen.detach(), final.detach()))
+    def __call__(self, described: Description, parts: Parts, tick: Tick = silent) -> Answer:
+        """The answer for the N splats of one body, all of them described."""
+        return _Pass(self, described, parts).run(tick)
 
-    def _exchange(self, seen: Tensor, logits: Tensor, batch: Batch) -> Tensor:
-        """What the splats around say about each token's bone."""
-        share = logits.softmax(-1)
-        words = torch.cat([torch.ones_like(share)[..., None], torch.tanh(self.say(seen))], -1) * share[..., None]
-        heard = [
-            pool_tokens(words[rows], batch.bone[rows], bones, near, labels)
-            for rows, bones, near, labels in batch.bodies
-        ]
-        pooled = torch.cat(heard)  # (N, K, POOLS, 1 + channels)
-        loud = torch.log(pooled[..., 0] + 1e-3)
-        told = pooled[..., 1:] / (pooled[..., :1] + 1e-3)
-        out: Tensor = self.hear(torch.cat([loud, told.flatten(2), torch.log(share + 1e-3)[..., None]], -1))
+    def linear(self, name: str, x: Array) -> Array:
+        """A matrix and an offset on the last axis of x."""
+        weight, bias = self.parameters[f"{name}.weight"], self.parameters[f"{name}.bias"]
+        out = x.reshape(-1, x.shape[-1]) @ weight.T
+        out += bias
+        return out.reshape(*x.shape[:-1], len(bias))
+
+    def norm(self, name: str, x: Array) -> Array:
+        """The last axis of x with mean 0 and variance 1, then scaled and moved."""
+        out = x - (_sum(x) / np.float32(x.shape[-1]))[..., None]
+        variance = np.einsum("...k,...k->...", out, out) / np.float32(x.shape[-1])
+        out *= (1 / np.sqrt(variance + _EPSILON))[..., None]
+        out *= self.parameters[f"{name}.weight"]
+        out += self.parameters[f"{name}.bias"]
         return out
 
-    def _style(self, seen: Tensor, logits: Tensor, batch: Batch) -> Tensor:
-        """(N, style): the same for all splats of a body."""
-        mixed = (logits.softmax(-1)[..., None] * seen).sum(1)
-        out = []
-        for rows, *_ in batch.bodies:
-            part = mixed[rows]
-            told = torch.cat([part.mean(0), part.std(0)])[None]
-            style = torch.tanh(functional.dropout(self.style(told), 0.2, self.training))
-            out.append(style.expand(len(part), -1))
-        return torch.cat(out)
-
-    def _doubt(self, seen: Tensor, logits: Tensor) -> Tensor:
-        share = logits.softmax(-1)
-        top = share.topk(min(2, share.shape[-1]), -1).values
-        entropy = -(share * torch.log(share + 1e-6)).sum(-1)
-        mixed = (share[..., None] * seen).sum(1)
-        out: Tensor = self.doubt(torch.cat([mixed, top[:, :1], top[:, -1:], entropy[:, None]], -1))[:, 0]
-        return out
+    def pair(self, name: str, x: Array) -> Array:
+        """Two linear layers with a ReLU between."""
+        inner = self.linear(f"{name}.0", x)
+        return self.linear(f"{name}.2", np.maximum(inner, 0, out=inner))
 
 
-def pool_tokens(words: Tensor, bone: Tensor, bones: int, near: Sequence[Tensor], labels: Tensor) -> Tensor:
+class _Pass:
+    """One body on its way through the network, some splats at a time."""
+
+    def __init__(self, network: PriorNetwork, described: Description, parts: Parts) -> None:
+        self.network, self.described, self.parts = network, described, parts
+        count, tokens = described.bone.shape
+        width = network.shape.width
+        self.column = np.maximum(described.bone, 0).astype(np.int64)
+        self.missing = described.bone < 0
+        self.hidden = np.empty((count, tokens, width), np.float32)
+        self.first, self.final = (np.empty((count, tokens), np.float32) for _ in range(2))
+        self.words = np.empty((count, tokens, 1 + network.shape.channels), np.float32)
+        self.mixed = np.empty((count, width), np.float32)
+        self.doubt = np.empty(count, np.float32)
+
+    def run(self, tick: Tick) -> Answer:
+        """Both halves, and the exchange between them."""
+        self._each(self._before, stretch(tick, 0.0, 0.55))
+        bones = len(self.described.relation)
+        near = self.parts.near
+        pooled = pool_tokens(self.words, self.column, self.missing, bones, near, self.parts.labels)
+        told = np.concatenate([self.mixed.mean(axis=0), self.mixed.std(axis=0, ddof=1)])
+        style = np.tanh(self.network.linear("style", told[None]))[0]
+        self._each(partial(self._after, pooled, style), stretch(tick, 0.6, 1.0))
+        return Answer(self.first, self.final, self.doubt)
+
+    def _each(self, step: Callable[[slice], None], tick: Tick) -> None:
+        """A step for all blocks, in threads."""
+        count, threads = len(self.hidden), min(_THREADS, cores())
+        cuts = np.linspace(0, -(-count // _BLOCK), threads + 1).astype(int) * _BLOCK
+
+        def some(first: int, last: int, tick: Tick) -> None:
+            for begin in range(first, last, _BLOCK):
+                step(slice(begin, min(begin + _BLOCK, count)))
+                tick((begin + _BLOCK - first) / (last - first))
+
+        pairs = zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True)
+        work([partial(some, a, b) for a, b in pairs if b > a], tick, threads)
+
+    def _before(self, rows: slice) -> None:
+        net, values = self.network, np.asarray(self.described.values[rows], np.float32)
+        own = net.parameters
+        role = np.asarray(self.described.role, np.int64)[self.column[rows]]
+        x = net.pair("enter", (values - own["mean"]) / own["deviation"]) + own["role.weight"][role]
+        for number in range(net.shape.before):
+            x = self._layer(number, x, rows)
+        seen = net.norm("norm", x)
+        logits = own["trust"] * values[..., PRIOR] + net.linear("first", seen)[..., 0]
+        logits += self.missing[rows] * np.float32(FAR)
+        share = softmax(logits)
+        self.hidden[rows], self.first[rows] = x, logits
+        self.words[rows, :, 0] = share
+        self.words[rows, :, 1:] = np.tanh(net.linear("say", seen)) * share[..., None]
+        self.mixed[rows] = _mix(share, seen)
+
+    def _after(self, pooled: Array, style: Array, rows: slice) -> None:
+        net, first = self.network, self.first[rows]
+        heard = pooled[rows]
+        small = np.float32(1e-3)
+        loud = np.log(heard[..., 0] + small)
+        told = heard[..., 1:] / (heard[..., :1] + small)
+        told = told.reshape(*told.shape[:2], -1)
+        share = softmax(first)
+        x = self.hidden[rows] + net.linear("hear", np.concatenate([loud, told, np.log(share + small)[..., None]], -1))
+        x += net.linear("restyle", style[None])[0]
+        for number in range(net.shape.before, net.shape.before + net.shape.after):
+            x = self._layer(number, x, rows)
+        seen = net.norm("last_norm", x)
+        final = first + net.linear("final", seen)[..., 0]
+        mixed = _mix(softmax(final), seen)
+        sharp = net.pair("sharp", np.concatenate([mixed, np.broadcast_to(style, (len(mixed), len(style)))], axis=-1))
+        final = np.maximum(final * np.exp(np.float32(SHARPEST) * np.tanh(sharp)), np.float32(FAR))
+        self.final[rows] = final
+        share = softmax(final)
+        ranked = np.sort(share, axis=-1)
+        entropy = -(share * np.log(share + np.float32(1e-6))).sum(axis=-1)
+        second = ranked[:, -min(2, ranked.shape[1])]
+        looks = np.concatenate([_mix(share, seen), np.stack([ranked[:, -1], second, entropy], axis=-1)], axis=-1)
+        self.doubt[rows] = net.pair("doubt", looks)[:, 0]
+
+    def _layer(self, number: int, x: Array, rows: slice) -> Array:
+        """Attention among the tokens (n, K, width) of each splat, then two linear layers."""
+        net, name = self.network, f"layers.{number}"
+        count, tokens, width = x.shape
+        heads = net.shape.heads
+        qkv = net.linear(f"{name}.qkv", net.norm(f"{name}.norm1", x)).reshape(count, tokens, 3, heads, width // heads)
+        q, k, v = np.ascontiguousarray(qkv.transpose(2, 0, 3, 1, 4))
+        scores = q @ np.ascontiguousarray(k.transpose(0, 1, 3, 2))
+        scores *= np.float32((width // heads) ** -0.5)
+        column = self.column[rows]
+        kin = np.asarray(self.described.relation, np.int64)[column[:, :, None], column[:, None, :]]
+        weight = net.parameters["kin.weight"]
+        for head in range(heads):
+            scores[:, head] += np.take(weight[:, number * heads + head], kin)
+        scores += (self.missing[rows] * np.float32(FAR))[:, None, None, :]
+        mixed = (softmax(scores) @ v).transpose(0, 2, 1, 3).reshape(count, tokens, width)
+        x = x + net.linear(f"{name}.out", mixed)
+        inner = net.linear(f"{name}.widen", net.norm(f"{name}.norm2", x))
+        x += net.linear(f"{name}.narrow", np.maximum(inner, 0, out=inner))
+        return x
+
+
+def softmax(x: Array) -> Array:
+    """Shares along the last axis, which is short; float32."""
+    most = x[..., 0].copy()
+    for k in range(1, x.shape[-1]):
+        np.maximum(most, x[..., k], out=most)
+    out = x - most[..., None]
+    np.exp(out, out=out)
+    out *= (1 / _sum(out))[..., None]
+    return out
+
+
+def _sum(x: Array) -> Array:
+    """Along the last axis; a product with ones, since numpy's own sum is slow along a short axis."""
+    return np.asarray(x @ np.ones(x.shape[-1], np.float32))
+
+
+def _mix(share: Array, seen: Array) -> Array:
+    """(n, width): the tokens seen (n, K, width) by their shares (n, K)."""
+    return (share[:, None, :] @ seen)[:, 0]
+
+
+def pool_tokens(
+    words: Array, column: Array, missing: Array, bones: int, near: tuple[Array, ...], labels: Array
+) -> Array:
     """Means of what splats say of a bone, over neighbourhoods and over labels.
 
-    words (n, K, C); bone (n, K), -1 where there is none; near: (n, k) splat indices; labels (n, L).
+    words (n, K, C); column (n, K): bones, any where missing (n, K); near: (n, k) splat indices; labels (n, L).
     Returns (n, K, len(near) + L, C); a splat without a token for a bone says zero about it.
     """
-    count, channels = len(words), words.shape[-1]
-    present = (bone >= 0)[..., None]
-    column = bone.clamp(min=0)
-    row = torch.arange(count, device=bone.device)[:, None]
-    place = row * bones + column
-    dense = words.new_zeros(count * bones, channels).index_add(0, place.flatten(), (words * present).flatten(0, 1))
-    table = dense.view(count, bones * channels)
-    out = []
-    for index in near:
-        mean = functional.embedding_bag(index, table, mode="mean")
-        out.append(mean.view(count * bones, channels)[place])
-    for label in labels.T:
-        size = torch.bincount(label).clamp(min=1).to(table.dtype)
-        total = table.new_zeros(len(size), table.shape[1]).index_add(0, label, table) / size[:, None]
-        out.append(total.view(-1, channels)[label[:, None] * bones + column])
-    return torch.stack(out, 2)
-
-
-def make_batch(bodies: Sequence[dict[str, Any]]) -> Batch:
-    """Join descriptions given as arrays: bone, values, relation, role, near, wide, labels."""
-    bone, role, values, kin, rest, start = [], [], [], [], [], 0
-    for body in bodies:
-        b = torch.from_numpy(body["bone"].astype("int64"))
-        relation = torch.from_numpy(body["relation"].astype("int64"))
-        c = b.clamp(min=0)
-        kin.append(relation[c[:, :, None], c[:, None, :]])
-        bone.append(b)
-        role.append(torch.from_numpy(body["role"].astype("int64"))[c])
-        values.append(torch.from_numpy(body["values"].astype("float32")))
-        near = [torch.from_numpy(body[key].astype("int64")) for key in ("near", "wide")]
-        labels = torch.from_numpy(body["labels"].astype("int64"))
-        rest.append((slice(start, start + len(b)), len(relation), near, labels))
-        start += len(b)
-    return Batch(torch.cat(bone), torch.cat(role), torch.cat(values), torch.cat(kin), rest)
+    count, tokens, channels = words.shape
+    table = np.zeros((count * bones, channels), np.float32)
+    place = np.arange(count)[:, None] * bones + column
+    table[place[~missing]] = words[~missing]
+    out = np.zeros((count, tokens, len(near) + labels.shape[1], channels), np.float32)
+    for number, index in enumerate(near):
+        index = index.astype(np.int64)
+        for neighbour in index.T:
+            out[:, :, number] += np.take(table, neighbour[:, None] * bones + column, axis=0)
+        out[:, :, number] /= np.float32(index.shape[1])
+    for number, label in enumerate(labels.T.astype(np.int64), len(near)):
+        mean = label_means(table.reshape(count, -1), label).reshape(-1, channels)
+        out[:, :, number] = np.take(mean, label[:, None] * bones + column, axis=0)
+    return out

@@ -7,8 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from ...rig.nearest_points import nearest_points
+from ...splats.components import connected_components
+from ...ticks import Tick, silent
+from ..walls import blocked, nearest_open
 
 Array = NDArray[Any]
 
@@ -23,6 +27,7 @@ TOUCH = 3.0
 
 LINKS = 10
 _APART = 2.0  # see GAP_RATIO in core/skinning/node_graph.py
+_ROWS = 4096  # pairs times bones at a time: small enough for the processor's cache
 
 
 @dataclass(frozen=True)
@@ -43,77 +48,79 @@ class Parts:
 
 def label_means(values: Array, label: Array) -> Array:
     """(L, C): mean of the rows of `values` (N, C) with each label (N,)."""
-    from scipy import sparse
-
     size = np.bincount(label)
-    member = sparse.csr_matrix((np.ones(len(label), np.float32), (label, np.arange(len(label)))))
-    return np.asarray(member @ values, np.float32) / np.maximum(size, 1)[:, None]
+    order = np.argsort(label, kind="stable")
+    present = np.flatnonzero(size)
+    starts = (np.cumsum(size) - size)[present]
+    out = np.zeros((len(size), values.shape[1]), np.float32)
+    out[present] = np.add.reduceat(values[order], starts, axis=0) / size[present, None]
+    return out
 
 
-def find_parts(points: Array, colors: Array, profile: Array, *, links: int = LINKS) -> Parts:
+def find_parts(
+    points: Array,
+    colors: Array,
+    profile: Array,
+    *,
+    links: int = LINKS,
+    around: tuple[Array, Array] | None = None,
+    walls: Array | None = None,
+) -> Parts:
     """The parts of an object.
 
     points (N, 3); colors (N, 3) in [0, 1]; profile (N, B): distances to the bones through the body. Neighbours
-    whose profiles differ much more than the way between them sit on either side of a gap and are not linked.
+    whose profiles differ much more than the way between them sit on either side of a gap and are not linked, nor
+    those with a wall between them; walls (N,): labels. around: distances and indices (N, > links) of each splat's
+    nearest, itself included, where they are known.
     """
-    from scipy.spatial import cKDTree
-
     count = len(points)
     points = np.ascontiguousarray(points, np.float64)
     profile = np.ascontiguousarray(profile, np.float32)
-    way, index = cKDTree(points).query(points, min(links + 1, count))
-    way, index = way.reshape(count, -1)[:, 1:], index.reshape(count, -1)[:, 1:].astype(np.int32)
+    k = min(links + 1, count)
+    way, index = around or nearest_points(points, points, k)
+    way, index = way[:, 1:k], index[:, 1:k]
     pitch = float(np.median(way)) if way.size else 1.0
-    open_way = ~apart(index, way, profile)
-    a, k = np.nonzero(open_way & (way < TOUCH * pitch))
-    b = index[a, k]
-    pieces = connected(count, a, b)
+    open_way = ~apart(index, way, profile, walls=walls)
+    a, k_ = np.nonzero(open_way & (way < TOUCH * pitch))
+    b = index[a, k_]
+    pieces = connected_components(count, a, b)
     step = np.linalg.norm(colors[a] - colors[b], axis=1).astype(np.float32)
     order = np.argsort(step, kind="stable")
     regions = [_grow_regions(a[order], b[order], step[order], count, scale) for scale in COLOUR_SCALES]
-    near = neighbourhoods(points, profile)
-    labels = [np.unique(label, return_inverse=True)[1] for label in (pieces, *regions)]
+    near = neighbourhoods(points, profile, walls)
+    labels = [np.unique(label, return_inverse=True)[1].reshape(-1) for label in (pieces, *regions)]
     return Parts(near, np.stack(labels, axis=1).astype(np.int32))
 
 
-def connected(count: int, a: Array, b: Array) -> Array:
-    """(count,) labels of the pieces that links between a and b (E,) make."""
-    from scipy import sparse
-    from scipy.sparse.csgraph import connected_components
-
-    links = sparse.coo_matrix((np.ones(len(a)), (a, b)), (count, count))
-    label: Array = connected_components(links, directed=False)[1]
-    return label
-
-
-def neighbourhoods(points: Array, profile: Array) -> tuple[Array, ...]:
+def neighbourhoods(points: Array, profile: Array, walls: Array | None = None) -> tuple[Array, ...]:
     """One (N, k) array of indices for each of `NEAR`."""
-    return tuple(_neighbourhood(points, profile, size, k) for size, k in NEAR)
+    return tuple(_neighbourhood(points, profile, size, k, walls) for size, k in NEAR)
 
 
-def _neighbourhood(points: Array, profile: Array, size: int, k: int) -> Array:
+def _neighbourhood(points: Array, profile: Array, size: int, k: int, walls: Array | None) -> Array:
     """(N, k) indices of the nearest members of an even subset; the nearest one in place of those over a gap."""
-    from scipy.spatial import cKDTree
-
     members = even_subset(points, size)
     k = min(k, len(members))
-    way, at = cKDTree(points[members]).query(points, k)
-    way, at = way.reshape(len(points), -1), at.reshape(len(points), -1)
+    way, at = nearest_points(points[members], points, k)
     index = members[at].astype(np.int32)
-    beyond = apart(index, way, profile)
+    beyond = apart(index, way, profile, walls=walls)
     first = np.argmin(beyond, axis=1)  # the nearest on this side; where there is none, the nearest
+    if walls is not None:
+        lost = np.flatnonzero(beyond.all(axis=1))
+        index[lost, 0] = members[nearest_open(points[members], points[lost], walls[members], walls[lost])[1]]
     return np.where(beyond, np.take_along_axis(index, first[:, None], 1), index)
 
 
-def even_subset(points: Array, count: int) -> Array:
+def even_subset(points: Array, count: int, tick: Tick = silent) -> Array:
     """About `count` well spread points, one of each voxel of a grid: indices, ascending."""
     if len(points) <= count:
         return np.arange(len(points))
-    lower = np.percentile(points, 0.5, axis=0)
-    side = float(np.ptp(np.percentile(points, [0.5, 99.5], axis=0), axis=0).max()) or 1.0
+    lower, upper = np.percentile(points, [0.5, 99.5], axis=0)
+    side = float((upper - lower).max()) or 1.0
     low, high = 1.0, 4096.0
     best: Array = np.arange(min(count, len(points)))
-    for _ in range(12):
+    for turn in range(12):
+        tick(turn / 12)
         middle = float(np.sqrt(low * high))
         cells = np.floor((points - lower) / side * middle).astype(np.int64).clip(-8192, 8191) + 8192
         key = (cells[:, 0] * 16384 + cells[:, 1]) * 16384 + cells[:, 2]
@@ -125,57 +132,55 @@ def even_subset(points: Array, count: int) -> Array:
     return np.sort(best)
 
 
-def apart(index: Array, way: Array, profile: Array, *, rows: Array | None = None) -> Array:
+def apart(
+    index: Array,
+    way: Array,
+    profile: Array,
+    *,
+    rows: Array | None = None,
+    pitch: float | None = None,
+    walls: Array | None = None,
+) -> Array:
     """(N, k) bool: no body lies between point n (or rows[n]) and point index[n, k], `way` apart; their distances to
-    some bone, profile (M, B), differ by more than that way allows."""
-    profile = np.ascontiguousarray(profile, np.float32)
+    some bone, profile (M, B), differ by more than that way allows, or a wall of walls (M,) is between. pitch: the
+    least way that counts; the median of `way` unless given."""
     rows = np.arange(len(index)) if rows is None else rows
-    pitch = np.float32(np.median(way)) if way.size else np.float32(1)
-    return _apart_kernel(index, np.ascontiguousarray(way, np.float32), profile, rows, pitch)
-
-
-@njit(cache=True)
-def _apart_kernel(index, way, profile, rows, pitch):  # type: ignore[no-untyped-def]
-    out = np.zeros(index.shape, np.bool_)
-    for n in range(index.shape[0]):
-        own = profile[rows[n]]
-        for k in range(index.shape[1]):
-            limit = _APART * max(way[n, k], pitch)
-            other = profile[index[n, k]]
-            for b in range(profile.shape[1]):
-                if abs(own[b] - other[b]) > limit:
-                    out[n, k] = True
-                    break
+    if pitch is None:
+        pitch = float(np.median(way)) if way.size else 1.0
+    limit = np.float32(_APART) * np.maximum(np.asarray(way, np.float32), np.float32(pitch))
+    profile = np.ascontiguousarray(profile, np.float32)
+    out = np.zeros(index.shape, bool)
+    step = max(1, _ROWS * 64 // (max(index.shape[1], 1) * profile.shape[1]))
+    for first in range(0, len(index), step):
+        some = slice(first, first + step)
+        jump = profile[index[some]]
+        jump -= profile[rows[some], None]
+        out[some] = np.abs(jump, out=jump).max(axis=2, initial=0) > limit[some]
+    if walls is not None:
+        out |= blocked(walls[rows][:, None], walls[index])
     return out
 
 
-@njit(cache=True)
-def _root(parent, n):  # type: ignore[no-untyped-def]
-    while parent[n] != n:
-        parent[n] = parent[parent[n]]
-        n = parent[n]
-    return n
-
-
-@njit(cache=True)
-def _grow_regions(a, b, step, count, scale):  # type: ignore[no-untyped-def]
+def _grow_regions(a: Array, b: Array, step: Array, count: int, scale: float) -> Array:
     """Labels (N,) after Felzenszwalb & Huttenlocher 2004; edges (a, b) by ascending colour step.
 
     The size of a region counts as its share of all splats, so that the result does not hang on their number.
     """
-    parent = np.arange(count)
-    size = np.ones(count)
-    inner = np.zeros(count, np.float32)
-    for e in range(len(a)):
-        p, q = _root(parent, a[e]), _root(parent, b[e])
-        if p == q:
-            continue
-        if step[e] <= min(inner[p] + scale * count / size[p], inner[q] + scale * count / size[q]):
+    parent = list(range(count))
+    # How large a step a region may take: its largest one so far, and more the smaller it is.
+    size, bound = [1] * count, [scale * count] * count
+
+    def root(n: int) -> int:
+        while parent[n] != n:
+            parent[n] = n = parent[parent[n]]
+        return n
+
+    for p, q, height in zip(a.tolist(), b.tolist(), step.tolist(), strict=True):
+        p, q = root(p), root(q)
+        if p != q and height <= bound[p] and height <= bound[q]:
             if size[p] < size[q]:
                 p, q = q, p
             parent[q] = p
             size[p] += size[q]
-            inner[p] = max(inner[p], inner[q], step[e])
-    for n in range(count):
-        parent[n] = _root(parent, n)
-    return parent
+            bound[p] = height + scale * count / size[p]  # steps ascend: this is the largest so far
+    return np.array([root(n) for n in range(count)])

@@ -6,21 +6,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ...rig.nearest_points import nearest_points
 from ...rig.skeleton import Skeleton
 from ...splats.cloud import SplatCloud
-from .describe import Body, look_at
+from ...ticks import Tick, silent, stretch
+from ..walls import blocked, nearest_open
+from .describe import Body, describe_body
 from .features import PRIOR
 from .held_objects import hold
 from .model_file import SHIPPED, load_model
+from .network import PriorNetwork, softmax
 from .parts import apart
-
-if TYPE_CHECKING:
-    from .network import PriorNetwork
 
 Array = NDArray[Any]
 
@@ -31,35 +32,54 @@ CAUTION = 0.3
 """Share of the heat weights in the logits: on families left out it lowers the errors of bodies unlike any that
 the network has seen, and leaves the others as they are."""
 
-SPREAD = 6
-_CHUNK = 200_000
+NEAREST_NODES = 6
+_CHUNK = 25_000
 
 
-def learned_weights(cloud: SplatCloud, skeleton: Skeleton, model: Path | None = None) -> tuple[Array, Array]:
+def learned_weights(
+    cloud: SplatCloud,
+    skeleton: Skeleton,
+    model: Path | None = None,
+    *,
+    walls: Array | None = None,
+    tick: Tick = silent,
+) -> tuple[Array, Array]:
     """Weights (N, B) float32, rows sum to 1, and confidence (N,) float32 in [0, 1].
 
     The confidence is one minus the share of a splat's weight that the network expects to give to wrong bones.
-    model: a file made by `gskin train-prior`; None for the one that comes with the add-on.
+    model: a file made by `gskin train-prior`; None for the one that comes with the add-on. walls (N,): labels of the
+    splats, 0 for none; nothing spreads straight from one label to another, see `walls`.
 
     Raises:
         InputError: fewer than two splats, or the model cannot be used.
     """
     networks = _loaded(model or SHIPPED)
-    body = look_at(cloud, skeleton, limit=NODES)
-    weights, confidence = predict_nodes(networks, body, skeleton.count)
-    return spread(cloud, body, hold(weights, body.points, skeleton, body.size), confidence)
+    nodes = _nodes_share(cloud.count)
+    body = describe_body(cloud, skeleton, limit=NODES, walls=walls, tick=stretch(tick, 0.0, 0.6 * nodes))
+    weights, confidence = predict_nodes(networks, body, skeleton.count, tick=stretch(tick, 0.6 * nodes, nodes))
+    held = hold(weights, body.points, skeleton, body.size)
+    return interpolate_to_splats(cloud, body, held, confidence, walls=walls, tick=stretch(tick, nodes, 1.0))
 
 
-def heat_weights(cloud: SplatCloud, skeleton: Skeleton) -> Array:
+def heat_weights(
+    cloud: SplatCloud, skeleton: Skeleton, *, walls: Array | None = None, tick: Tick = silent
+) -> Array:
     """Weights (N, B) float32, rows sum to 1, of bone heat on the splats: where the network starts from.
 
-    After Baran & Popovic 2007, with `facing_distances` as Blender has them.
+    After Baran & Popovic 2007, with `normal_weighted_distances` as Blender has them. walls as in `learned_weights`.
 
     Raises:
         InputError: fewer than two splats.
     """
-    body = look_at(cloud, skeleton, limit=NODES, rows=8)
-    return spread(cloud, body, body.reach.heat, np.ones(len(body.index), np.float32))[0]
+    nodes = _nodes_share(cloud.count)
+    body = describe_body(cloud, skeleton, limit=NODES, rows=8, walls=walls, tick=stretch(tick, 0.0, nodes))
+    certain = np.ones(len(body.index), np.float32)
+    return interpolate_to_splats(cloud, body, body.reach.heat, certain, walls=walls, tick=stretch(tick, nodes, 1.0))[0]
+
+
+def _nodes_share(count: int) -> float:
+    """Share of the work that is done for the nodes alone: as much as interpolating to 700,000 splats is."""
+    return 1 - count / (count + 700_000)
 
 
 @lru_cache(maxsize=2)
@@ -67,52 +87,73 @@ def _loaded(path: Path) -> tuple[PriorNetwork, ...]:
     return load_model(path)
 
 
-def predict_nodes(networks: Sequence[PriorNetwork], body: Body, bones: int) -> tuple[Array, Array]:
+def predict_nodes(
+    networks: Sequence[PriorNetwork], body: Body, bones: int, *, tick: Tick = silent
+) -> tuple[Array, Array]:
     """Weights (M, B) and confidence (M,) of a body all of whose splats are described; the mean of the networks."""
-    import torch
-
-    from .network import make_batch
-
     described = body.description
-    near, wide = body.parts.near
-    arrays = {**vars(described), "near": near, "wide": wide, "labels": body.parts.labels}
-    with torch.no_grad():
-        batch = make_batch([arrays])
-        answers = [network(batch) for network in networks]
-        final = torch.stack([answer.final for answer in answers]).mean(0)
-        heat = torch.from_numpy(described.values[..., PRIOR]) * (batch.bone >= 0)
-        share = ((1 - CAUTION) * final + CAUTION * heat).softmax(-1).numpy()
-        doubt = torch.stack([torch.sigmoid(answer.doubt) for answer in answers]).mean(0).numpy()
+    final, doubt = np.zeros(described.bone.shape, np.float32), np.zeros(len(described.bone), np.float32)
+    for number, network in enumerate(networks):
+        part = stretch(tick, number / len(networks), (number + 1) / len(networks))
+        answer = network(described, body.parts, part)
+        final += answer.final
+        doubt += 1 / (1 + np.exp(-answer.doubt))
+    heat = described.values[..., PRIOR] * (described.bone >= 0)
+    share = softmax((1 - CAUTION) / len(networks) * final + CAUTION * heat)
     weights = np.zeros((len(share), bones), np.float32)
     row, token = np.nonzero(described.bone >= 0)
     weights[row, described.bone[row, token]] = share[row, token]
-    return weights / weights.sum(axis=1, keepdims=True), 1 - doubt
+    return weights / weights.sum(axis=1, keepdims=True), np.asarray(1 - doubt / len(networks), np.float32)
 
 
-def spread(cloud: SplatCloud, body: Body, weights: Array, confidence: Array) -> tuple[Array, Array]:
-    """From the nodes to all splats: means over the nearest nodes, of like colour and on this side of any gap."""
-    from scipy.spatial import cKDTree
-
+def interpolate_to_splats(
+    cloud: SplatCloud,
+    body: Body,
+    weights: Array,
+    confidence: Array,
+    *,
+    walls: Array | None = None,
+    tick: Tick = silent,
+) -> tuple[Array, Array]:
+    """From the nodes to all splats: means over the nearest nodes, of like colour and on this side of gaps and walls."""
     if len(body.index) == cloud.count:
         return weights, confidence
-    tree = cKDTree(body.points)
-    k = min(SPREAD, len(body.index))
     colors = cloud.base_colors()
-    out, sure = np.empty((cloud.count, weights.shape[1]), np.float32), np.empty(cloud.count, np.float32)
+    pitch = float(np.median(nearest_points(body.points, body.points, min(NEAREST_NODES, len(body.index)))[0]))
+    out, out_confidence = np.empty((cloud.count, weights.shape[1]), np.float32), np.empty(cloud.count, np.float32)
     for first in range(0, cloud.count, _CHUNK):
         rows = slice(first, min(first + _CHUNK, cloud.count))
-        way, near = tree.query(cloud.means[rows], k)
-        way, near = way.reshape(-1, k), near.reshape(-1, k).astype(np.int32)
-        between = np.linalg.norm(body.points[near] - body.points[near[:, :1]], axis=-1)
-        far = apart(near, between, body.reach.distances, rows=near[:, 0])
-        reach = way[:, -1:] * 1.001 + 1e-12
-        share = (1 - way / reach) ** 2 + 1e-6
-        unlike = np.square(body.colors[near] - colors[rows][:, None]).sum(-1)
-        share = np.where(far, 0, share * np.exp(-unlike / (2 * 0.1**2)) + 1e-9).astype(np.float32)
-        share /= share.sum(axis=1, keepdims=True)
+        own = None if walls is None else np.asarray(walls)[rows]
+        share, near = _shares(body, cloud.means[rows], colors[rows], pitch, own)
         block = np.zeros((len(near), weights.shape[1]), np.float32)
-        for column in range(k):
+        for column in range(near.shape[1]):
             block += share[:, column : column + 1] * weights[near[:, column]]
+        block /= block.sum(axis=1, keepdims=True)
         out[rows] = block
-        sure[rows] = (share * confidence[near]).sum(axis=1)
-    return out / out.sum(axis=1, keepdims=True), sure
+        out_confidence[rows] = (share * confidence[near]).sum(axis=1)
+        tick(rows.stop / cloud.count)
+    return out, out_confidence
+
+
+def _shares(
+    body: Body, points: Array, colors: Array, pitch: float, walls: Array | None
+) -> tuple[Array, Array]:
+    """Shares and indices (n, NEAREST_NODES) of the nodes that splats follow; pitch: the usual way between
+    neighbouring nodes; walls (n,): labels of the splats."""
+    way, near = nearest_points(body.points, points, min(NEAREST_NODES, len(body.index)))
+    beyond = np.zeros(near.shape, bool)
+    if walls is not None and body.walls is not None:
+        beyond = blocked(walls[:, None], body.walls[near])
+        lost = np.flatnonzero(beyond[:, 0])
+        # The nearest node of the splat's own side leads, whatever lies nearer.
+        way[lost, 0], near[lost, 0] = nearest_open(body.points, points[lost], body.walls, walls[lost])
+        beyond[:, 0] = False
+    between = np.linalg.norm(body.points[near] - body.points[near[:, :1]], axis=-1)
+    far = apart(near, between, body.reach.distances, rows=near[:, 0], pitch=pitch, walls=body.walls) | beyond
+    reach = np.where(beyond, 0, way).max(axis=1, keepdims=True) * 1.001 + 1e-12
+    share = (1 - np.minimum(way / reach, 1)) ** 2 + 1e-6
+    unlike = np.square(body.colors[near] - colors[:, None]).sum(-1)
+    share = np.where(far, 0, share * np.exp(-unlike / (2 * 0.1**2)) + 1e-9)
+    share[beyond] = 0
+    share = share.astype(np.float32)
+    return share / share.sum(axis=1, keepdims=True), near

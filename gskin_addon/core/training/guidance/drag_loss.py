@@ -13,7 +13,7 @@ from ...guidance.lightning_drag.appearance import appearance_bank
 from ...guidance.lightning_drag.pipeline import Schedule, encode
 from ...guidance.lightning_drag.processors import Guide
 from ...guidance.lightning_drag.weights import LightningDrag
-from .examples import Batch
+from .examples import PairBatch
 
 
 class DragLoss(nn.Module):
@@ -28,7 +28,7 @@ class DragLoss(nn.Module):
         self._text = model.text.to(device, dtype)
         self._scheduler = Schedule.of("ddim").scheduler(model.scheduler, device)
 
-    def forward(self, batch: Batch) -> torch.Tensor:
+    def forward(self, batch: PairBatch) -> torch.Tensor:
         """Mean squared error over the batch, a scalar."""
         # One stream of random numbers per example, on the CPU: the same in whatever batch and on whatever device.
         streams = [torch.Generator("cpu").manual_seed(seed) for seed in batch.seeds]

@@ -23,7 +23,7 @@ Key = tuple[int, int]
 
 
 @dataclass(frozen=True)
-class Batch:
+class PairBatch:
     """B examples on the CPU: rest, posed (B, 3, H, W) in [-1, 1]; mask (B, 1, H, W); maps (B, 2, H, W) of the
     points; clip (B, 3, S, S): the rest image for the image encoder; seeds (B,): of their randomness."""
 
@@ -75,7 +75,7 @@ def _order(count: int, seed: int, epoch: int) -> NDArray[np.int64]:
 
 def batches(
     examples: Examples, updates: range, batch: int, accumulate: int, *, process: int, processes: int, workers: int
-) -> Iterator[Batch]:
+) -> Iterator[PairBatch]:
     """The batches of one of several processes: `accumulate` for each of `updates`."""
     keys: list[list[Key]] = [
         [(update, (part * processes + process) * batch + k) for k in range(batch)]
@@ -86,8 +86,8 @@ def batches(
     yield from loader
 
 
-def collate(examples: Sequence[tuple[Any, ...]]) -> Batch:
+def collate(examples: Sequence[tuple[Any, ...]]) -> PairBatch:
     """One batch of several examples."""
     *columns, seeds = zip(*examples, strict=True)
     rest, posed, mask, maps, clip = (torch.cat(column) for column in columns)
-    return Batch(rest, posed, mask, maps, clip, list(seeds))
+    return PairBatch(rest, posed, mask, maps, clip, list(seeds))

@@ -34,11 +34,13 @@ HISTORY = 100
 """Losses kept, each the mean since the one before."""
 
 
-def tune(pairs: Path, out: Path, settings: Mapping[str, Any], report: Report) -> str:
+def tune(
+    pairs: Path, out: Path, settings: Mapping[str, Any], report: Report, *, allow_download: bool = False
+) -> str:
     """Fine-tune LightningDrag on the data set `pairs` and write it to `out`; returns a sentence on how it went.
 
     The same call goes on from the last checkpoint of a stopped one. `out` is then a checkpoint that the guidance
-    `lightning_drag` takes.
+    `lightning_drag` takes. allow_download: the person agreed to fetch models that are missing.
 
     Raises:
         InputError: settings, models or pairs that cannot be used, or `out` holds another training.
@@ -48,7 +50,7 @@ def tune(pairs: Path, out: Path, settings: Mapping[str, Any], report: Report) ->
         require(package, "Fine-tuning")
     data = PairDataset(pairs)
     check_size(data.size, data.size)
-    files = find_files(options, lambda message: report(0.0, message))
+    files = find_files(options, lambda message: report(0.0, message), allow_download=allow_download)
     training = Training(options, files, data, _validation_pairs(pairs), _identity(options, files, pairs), out)
     if not training.is_finished():
         out.mkdir(parents=True, exist_ok=True)

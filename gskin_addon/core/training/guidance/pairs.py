@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import InputError
+from ...files import is_plain_name, read_arrays
 from .split import TRAIN
 
 VERSION = 1
@@ -74,19 +74,13 @@ class PairDataset:
         inside = number - (int(self._ends[index - 1]) if index else 0)
         path = self._folder / SHARDS / shard["file"]
         try:
-            with np.load(path, allow_pickle=False) as file:
-                view = int(file["view"][inside])
-                return Pair(
-                    decode_image(file[f"rest_{view}"]),
-                    decode_image(file[f"posed_{inside}"]),
-                    decode_image(file[f"mask_{inside}"]),
-                    file[f"handles_{inside}"],
-                    file[f"targets_{inside}"],
-                    shard["asset"],
-                    view,
-                )
-        except (OSError, ValueError, KeyError, SyntaxError, zipfile.BadZipFile) as error:
+            view = int(np.atleast_1d(read_arrays(path, ["view"])["view"])[inside])
+            names = [f"rest_{view}", *(f"{what}_{inside}" for what in ("posed", "mask", "handles", "targets"))]
+            *images, handles, targets = read_arrays(path, names).values()
+            rest, posed, mask = (decode_image(image) for image in images)
+        except (OSError, ValueError, TypeError, IndexError, SyntaxError) as error:
             raise InputError(f"The shard '{path}' is damaged ({error}); delete it and make the pairs again.") from None
+        return Pair(rest, posed, mask, handles, targets, shard["asset"], view)
 
     def __iter__(self) -> Iterator[Pair]:
         return (self[number] for number in range(len(self)))
@@ -104,11 +98,25 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         version = manifest["version"]
     except FileNotFoundError:
         raise InputError(f"'{folder}' is no set of image pairs; make one with train-guidance pairs.") from None
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(f"'{path}' cannot be read ({error}); make the pairs again in another folder.") from None
     if version != VERSION:
         raise InputError(f"'{path}' has version {version}, this gskin reads {VERSION}; make the pairs again.")
+    settings, shards = manifest.get("settings"), manifest.get("shards")
+    sized = isinstance(settings, dict) and type(settings.get("size")) is int
+    if not sized or not isinstance(shards, list) or not all(_is_shard(shard) for shard in shards):
+        raise InputError(f"'{path}' is no list of image pairs; make the pairs again in another folder.")
     return manifest
+
+
+def _is_shard(shard: Any) -> bool:
+    return (
+        isinstance(shard, dict)
+        and all(isinstance(shard.get(name), str) for name in ("file", "asset", "split"))
+        and type(shard.get("pairs")) is int
+        and shard["pairs"] >= 0
+        and is_plain_name(shard["file"])
+    )
 
 
 def encode_image(image: NDArray[Any]) -> NDArray[np.uint8]:
@@ -121,7 +129,12 @@ def encode_image(image: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def decode_image(data: NDArray[np.uint8]) -> NDArray[Any]:
+    """The image of PNG bytes. Raises OSError, SyntaxError or ValueError for anything else."""
     from PIL import Image
 
-    with Image.open(io.BytesIO(data.tobytes())) as picture:
-        return np.array(picture)
+    # PNG and nothing else: for some formats Pillow starts other programs.
+    try:
+        with Image.open(io.BytesIO(data.tobytes()), formats=["PNG"]) as picture:
+            return np.array(picture)
+    except Image.DecompressionBombError as error:
+        raise ValueError(str(error)) from None

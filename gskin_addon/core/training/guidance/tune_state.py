@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a training keeps on the disk: a checkpoint to go on from, and weights in LightningDrag's published layout."""
+"""The files of a training: a checkpoint to continue from, and weights in LightningDrag's published layout."""
 
 from __future__ import annotations
 
 import contextlib
-import os
 import shutil
 from collections.abc import Iterator, Mapping
 from functools import partial
@@ -14,12 +13,16 @@ from typing import Any
 import torch
 from torch import nn
 
+from ...checkpoint import load_checkpoint, save_checkpoint
 from ...errors import InputError
-from ...files import write_atomically, write_json
+from ...files import replaced, write_atomically, write_json
 from ...guidance.lightning_drag.files import APPEARANCE, ATTENTION, FINE_TUNED, POINTS
 from ...guidance.lightning_drag.weights import LightningDrag
 
-STATE = "training.pt"
+STATE, OLD_STATE = "training.safetensors", "training.pt"
+
+PARTS = {"identity", "update", "weights", "average", "adam", "scaler", "scores", "losses", "since"}
+"""What a checkpoint holds."""
 
 
 class Average:
@@ -32,14 +35,14 @@ class Average:
 
     @torch.no_grad()
     def update(self, updates: int) -> None:
-        """After the update that makes `updates` of them."""
+        """Update the averages after the update number `updates`."""
         part = 1.0 - min(self._decay, (1 + updates) / (10 + updates))
         for name, value in self.values.items():
             value.lerp_(self._parameters[name].detach(), part)
 
     @contextlib.contextmanager
     def in_place(self) -> Iterator[None]:
-        """The parameters have their averages as values meanwhile."""
+        """Within the block, the parameters have their averages as values."""
         own = {name: self._parameters[name].detach().clone() for name in self.values}
         put(self._parameters, self.values)
         try:
@@ -50,14 +53,14 @@ class Average:
 
 @torch.no_grad()
 def put(parameters: Mapping[str, nn.Parameter], values: Mapping[str, torch.Tensor]) -> None:
-    """Give `parameters` the `values` of their names."""
+    """Set `parameters` to the `values` of the same names."""
     for name, value in values.items():
         parameters[name].copy_(value)
 
 
 def save_state(out: Path, state: Mapping[str, Any]) -> None:
-    """The checkpoint, whole or not at all."""
-    write_atomically(out / STATE, lambda file: torch.save(dict(state), file))
+    """Write the checkpoint atomically."""
+    save_checkpoint(out / STATE, state)
 
 
 def load_state(out: Path, identity: Mapping[str, Any]) -> dict[str, Any] | None:
@@ -68,15 +71,17 @@ def load_state(out: Path, identity: Mapping[str, Any]) -> dict[str, Any] | None:
     """
     path = out / STATE
     if not path.is_file():
+        if (out / OLD_STATE).is_file():
+            raise InputError(
+                f"The checkpoint '{out / OLD_STATE}' is of an older gskin and cannot be read safely; "
+                "delete it to start again."
+            )
         return None
-    try:
-        state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-        check_identity(out, state["identity"], identity)
-    except InputError:
-        raise
-    except Exception as error:  # of pickle, zip, torch
-        line = str(error).strip().split("\n")[0]
-        raise InputError(f"The checkpoint '{path}' cannot be read ({line}); delete it to start again.") from error
+    state = load_checkpoint(path)
+    found = state.get("identity")
+    if not isinstance(found, dict) or not state.keys() >= PARTS:
+        raise InputError(f"The checkpoint '{path}' cannot be read as one of this training; delete it to start again.")
+    check_identity(out, found, identity)
     return state
 
 
@@ -100,12 +105,8 @@ def write_checkpoint(model: LightningDrag, out: Path, source: Path, facts: Mappi
         (out / folder).mkdir(parents=True, exist_ok=True)
     plain = {name: value.detach().cpu().contiguous() for name, value in model.appearance.state_dict().items()}
     weights = out / APPEARANCE / "diffusion_pytorch_model.safetensors"
-    temporary = weights.with_name(f".{weights.name}.{os.getpid()}.tmp")
-    try:
+    with replaced(weights) as temporary:
         save_file(plain, temporary, metadata={"format": "pt"})
-        os.replace(temporary, weights)
-    finally:
-        temporary.unlink(missing_ok=True)
     config = out / APPEARANCE / "config.json"
     if not config.is_file():
         shutil.copyfile(source / APPEARANCE / "config.json", config)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How like the true pictures the generated ones are (the paper's Table IV): PSNR, SSIM, LPIPS where it is on disk."""
+"""Similarity of generated to true images (the paper's Table IV): PSNR, SSIM, LPIPS where it is on disk."""
 
 from __future__ import annotations
 

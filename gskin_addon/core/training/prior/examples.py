@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rigged bodies to learn from: read from files, bent a little, and covered with splats."""
+"""Rigged bodies for training: read from files, augmented, and covered with splats."""
 
 from __future__ import annotations
 
@@ -12,29 +12,17 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...rig.quaternion import axis_angle_to_matrix
-from ...rig.skeleton import Skeleton, parents_first
+from ...rig.skeleton import Skeleton
 from ...splats.cloud import SH_C0, SplatCloud
 from ...splats.from_mesh import sample_mesh
+from ..rigged import RiggedMesh, read_rigged_mesh
 
 Array = NDArray[Any]
 
 
 @dataclass(frozen=True)
-class Mesh:
-    """A rigged mesh: verts (V, 3), faces (F, 3), corner_rgb (F, 3, 3) in [0, 1], weights (V, B) float32; used
-    (B,): the bones that carry weight."""
-
-    verts: Array
-    faces: Array
-    corner_rgb: Array
-    weights: Array
-    skeleton: Skeleton
-    used: Array
-
-
-@dataclass(frozen=True)
-class Subject:
-    """Splats with known weights (N, B), rows sum to 1; valid (N,): False for strays, which teach nothing."""
+class TrainingBody:
+    """Splats with known weights (N, B), rows sum to 1; valid (N,): False for strays, which do not count."""
 
     cloud: SplatCloud
     skeleton: Skeleton
@@ -42,39 +30,26 @@ class Subject:
     valid: Array
 
 
-def read_mesh_asset(path: Path) -> Mesh:
-    """A rigged mesh of the layout in docs/training.md."""
-    try:
-        data = np.load(path)
-        parent = data["bone_parent"].astype(int)
-        depth = parents_first(parent)
-        place = np.empty(len(depth), np.int64)
-        place[depth] = np.arange(len(depth))
-        parents = np.where(parent[depth] >= 0, place[parent[depth]], -1)
-        verts = data["verts"].astype(np.float64)
-        weights = np.zeros((len(verts), len(parent)), np.float32)
-        weights[data["w_row"], data["w_col"]] = data["w_val"]
-        weights = weights[:, depth]
-        named = data["bone_names"] if "bone_names" in data else np.arange(len(parent))
-        names = tuple(str(name) for name in named[depth])
-        heads, tails = (data[key][depth].astype(np.float64) for key in ("bone_head", "bone_tail"))
-        short = np.linalg.norm(tails - heads, axis=1) < 1e-6 * np.ptp(verts, axis=0).max()
-        tails[short] += np.array([0.0, 0.0, 1e-3]) * np.ptp(verts, axis=0).max()
-        rgb = data["corner_rgb"] / 255.0
-        return Mesh(verts, data["faces"], rgb, weights, Skeleton(names, parents, heads, tails), weights.max(0) > 0.01)
-    except (OSError, ValueError, KeyError, IndexError) as error:
-        raise InputError(f"'{path}' is no rigged asset ({error}); see docs/training.md.") from error
+def read_mesh_asset(path: Path) -> RiggedMesh:
+    """A rigged mesh of the layout in docs/training.md, every bone with a length and without a rest matrix."""
+    mesh = read_rigged_mesh(path)
+    size, old = np.ptp(mesh.verts, axis=0).max(), mesh.skeleton
+    tails = old.tails.copy()
+    tails[np.linalg.norm(tails - old.heads, axis=1) < 1e-6 * size] += np.array([0.0, 0.0, 1e-3]) * size
+    # Whatever the file says: a bone that moves almost nothing cannot be learned.
+    used = mesh.weights.max(0) > 0.01
+    return replace(mesh, skeleton=Skeleton(old.names, old.parents, old.heads, tails), used=used, clip=None)
 
 
-def only_used(skeleton: Skeleton, weights: Array, used: Array) -> tuple[Skeleton, Array]:
-    """Without the bones that carry no weight."""
+def without_unused_bones(skeleton: Skeleton, weights: Array, used: Array) -> tuple[Skeleton, Array]:
+    """Skeleton and weights without the unused bones; used (B,). Raises InputError if all are unused."""
     if not used.any():
         raise InputError("An asset has no bone with weights; leave it out of the catalogue.")
     return skeleton.subset(used), weights[:, used]
 
 
-def cover(mesh: Mesh, rng: np.random.Generator) -> Subject:
-    """The mesh stretched, turned and covered with splats as a capture or a generator might."""
+def sample_splats(mesh: RiggedMesh, rng: np.random.Generator) -> TrainingBody:
+    """Scale and rotate the mesh at random and cover it with splats, as a capture or a generator might."""
     scale = np.exp(rng.normal(0, 0.12, 3)) if rng.random() < 0.5 else np.ones(3)
     turn = axis_angle_to_matrix(np.array([[0.0, 0.0, 1.0]]), rng.uniform(-np.pi, np.pi, 1))[0]
     if rng.random() < 0.3:
@@ -85,7 +60,7 @@ def cover(mesh: Mesh, rng: np.random.Generator) -> Subject:
     keep_idle = rng.random() < 0.35
     weights = mesh.weights
     if not keep_idle:
-        skeleton, weights = only_used(skeleton, weights, mesh.used)
+        skeleton, weights = without_unused_bones(skeleton, weights, mesh.used)
     skeleton = Skeleton(skeleton.names, skeleton.parents, skeleton.heads @ matrix.T, skeleton.tails @ matrix.T)
     cloud, face, bary = sample_mesh(
         mesh.verts @ matrix.T,
@@ -98,16 +73,16 @@ def cover(mesh: Mesh, rng: np.random.Generator) -> Subject:
     )
     sampled = np.einsum("nk,nkb->nb", bary, weights[mesh.faces[face]])
     sampled /= np.maximum(sampled.sum(1, keepdims=True), 1e-9)
-    return Subject(cloud, skeleton, sampled.astype(np.float32), sampled.sum(1) > 0.5)
+    return TrainingBody(cloud, skeleton, sampled.astype(np.float32), sampled.sum(1) > 0.5)
 
 
-def disturb(subject: Subject, rng: np.random.Generator) -> Subject:
-    """Bones split, left out, moved, added or without true tails; colours noisy; strays: each with some chance."""
+def augment(body: TrainingBody, rng: np.random.Generator) -> TrainingBody:
+    """Augment a body at random: split, drop, move or add bones, replace their tails, change colours, add strays."""
     from . import rig_changes as change
 
-    size = float(np.linalg.norm(np.ptp(subject.cloud.means, axis=0)))
-    points = subject.cloud.means.astype(np.float64)
-    skeleton, weights = subject.skeleton, subject.weights
+    size = float(np.linalg.norm(np.ptp(body.cloud.means, axis=0)))
+    points = body.cloud.means.astype(np.float64)
+    skeleton, weights = body.skeleton, body.weights
     if rng.random() < 0.2:
         skeleton, weights = change.split_bones(skeleton, weights, points, rng, int(rng.integers(1, 5)), size)
     if rng.random() < 0.2:
@@ -117,14 +92,14 @@ def disturb(subject: Subject, rng: np.random.Generator) -> Subject:
     if rng.random() < 0.2:
         skeleton, weights = change.add_idle_bones(skeleton, weights, rng, int(rng.integers(1, 5)), size)
     if rng.random() < 0.12:
-        skeleton = change.lose_tails(skeleton, rng, size)
-    cloud = recolour(subject.cloud, rng)
-    changed = Subject(cloud, skeleton, weights, subject.valid)
+        skeleton = change.replace_tails(skeleton, rng, size)
+    cloud = augment_colors(body.cloud, rng)
+    changed = TrainingBody(cloud, skeleton, weights, body.valid)
     return add_strays(changed, rng, size) if rng.random() < 0.15 else changed
 
 
-def recolour(cloud: SplatCloud, rng: np.random.Generator) -> SplatCloud:
-    """Colours as a camera might see them: as they are, noisy, shaded and textured, or all alike."""
+def augment_colors(cloud: SplatCloud, rng: np.random.Generator) -> SplatCloud:
+    """Random changes of the colours: none, uniform grey, or noise, shading and texture."""
     color, kind = cloud.base_colors().astype(np.float64), rng.random()
     if kind < 0.45:
         return cloud
@@ -146,16 +121,16 @@ def recolour(cloud: SplatCloud, rng: np.random.Generator) -> SplatCloud:
     return replace(cloud, sh=((color - 0.5) / SH_C0)[:, None].astype(np.float32))
 
 
-def add_strays(subject: Subject, rng: np.random.Generator, size: float) -> Subject:
-    """Up to 1.5 % more splats, somewhere around the object."""
-    count = int(rng.uniform(0.002, 0.015) * subject.cloud.count)
-    picked = rng.integers(0, subject.cloud.count, count)
-    strays = subject.cloud.select(picked)
+def add_strays(body: TrainingBody, rng: np.random.Generator, size: float) -> TrainingBody:
+    """Add up to 1.5 % more splats around the object, which are not valid."""
+    count = int(rng.uniform(0.002, 0.015) * body.cloud.count)
+    picked = rng.integers(0, body.cloud.count, count)
+    strays = body.cloud.select(picked)
     strays = replace(strays, means=strays.means + rng.normal(0, 0.06 * size, (count, 3)).astype(np.float32))
     both = {
-        name: np.concatenate([getattr(subject.cloud, name), getattr(strays, name)])
+        name: np.concatenate([getattr(body.cloud, name), getattr(strays, name)])
         for name in ("means", "quats", "scales", "opacities", "sh")
     }
-    weights = np.concatenate([subject.weights, subject.weights[picked]])
-    valid = np.concatenate([subject.valid, np.zeros(count, bool)])
-    return Subject(SplatCloud(**both), subject.skeleton, weights, valid)
+    weights = np.concatenate([body.weights, body.weights[picked]])
+    valid = np.concatenate([body.valid, np.zeros(count, bool)])
+    return TrainingBody(SplatCloud(**both), body.skeleton, weights, valid)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rigged bodies of other proportions and in other rest poses: longer arms, thinner legs, a larger head, knees bent.
+"""Random changes to the proportions and rest poses of rigged meshes: longer arms, thinner legs, bent knees.
 
-The weights stay: they belong to the flesh. So one family of characters, all of a build, teaches many builds.
+The weights of the vertices stay. So a family of characters that all have one build can teach many builds.
 """
 
 from __future__ import annotations
@@ -16,23 +16,24 @@ from ...rig.kinematics import joints_posed
 from ...rig.poses import random_axes
 from ...rig.quaternion import axis_angle_to_matrix
 from ...rig.skeleton import Skeleton
-from .examples import Mesh
+from ..rigged import RiggedMesh
 
 Array = NDArray[Any]
 
 STRETCH, GIRTH, BEND = 0.25, 0.18, 14.0
-"""Deviations of the logarithm of a bone's length and of its flesh's width, and of a joint's angle in degrees."""
+"""Standard deviations of the logarithm of a bone's length and of the width around it, and of a joint's angle in
+degrees."""
 
 
-def reshape(mesh: Mesh, rng: np.random.Generator) -> Mesh:
-    """The mesh with each bone stretched, its flesh made wider or thinner, and its joint bent, all at random."""
+def change_proportions(mesh: RiggedMesh, rng: np.random.Generator) -> RiggedMesh:
+    """The mesh with every bone stretched, made wider or thinner, and turned about its head, all at random."""
     count = mesh.skeleton.count
     strength = rng.random(3)
     stretch = np.exp(strength[0] * STRETCH * rng.normal(size=count).clip(-2, 2))
     girth = np.exp(strength[1] * GIRTH * rng.normal(size=count).clip(-2, 2))
     axes = random_axes(count, rng)
     angles = np.radians(strength[2] * BEND * rng.normal(size=count).clip(-2.5, 2.5))
-    transforms = shape_transforms(mesh.skeleton, stretch, girth, axis_angle_to_matrix(axes, angles))
+    transforms = proportion_transforms(mesh.skeleton, stretch, girth, axis_angle_to_matrix(axes, angles))
     skeleton = mesh.skeleton
     heads, tails = joints_posed(skeleton, transforms)
     # Not skin_points: a vertex without weights stays where it is.
@@ -40,11 +41,11 @@ def reshape(mesh: Mesh, rng: np.random.Generator) -> Mesh:
     return replace(mesh, verts=verts, skeleton=Skeleton(skeleton.names, skeleton.parents, heads, tails))
 
 
-def shape_transforms(skeleton: Skeleton, stretch: Array, girth: Array, turns: Array) -> Array:
+def proportion_transforms(skeleton: Skeleton, stretch: Array, girth: Array, turns: Array) -> Array:
     """(B, 3, 4) affine maps from rest to the new shape.
 
-    stretch, girth (B,): factors along and across each bone; turns (B, 3, 3): rotation of each joint about its head,
-    which all below it follow. A bone's head goes where its parent takes it; sizes are not handed down.
+    stretch, girth (B,): factors along and across each bone; turns (B, 3, 3): rotation of each bone about its
+    head, inherited by its descendants. A bone's head follows its parent; scales are not inherited.
     """
     heads, axes = skeleton.heads, skeleton.tails - skeleton.heads
     axes = axes / np.maximum(np.linalg.norm(axes, axis=1, keepdims=True), 1e-12)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Skeletons as other artists and tools would have made them; weights change with them."""
+"""Random changes to skeletons, as other artists and tools might have made them; the weights change accordingly."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from ...rig.skeleton import Skeleton
 Array = NDArray[Any]
 Rig = tuple[Skeleton, Array]
 IDLE_NAMES = ("IK", "Control", "", "")
-"""Names of idle bones, in turn by the bone that they drive; half of them say nothing."""
+"""Names of idle bones, by the number of the bone that they drive; half of them have none."""
 
 
 def split_bones(
     skeleton: Skeleton, weights: Array, points: Array, rng: np.random.Generator, count: int, size: float
 ) -> Rig:
-    """Redundant joints: some bones become two in a row, which share the weights along the bone."""
+    """Split up to `count` random bones in two, which share the weights along the bone."""
     for number in range(count):
         lengths = skeleton.lengths
         able = np.flatnonzero(lengths > 0.04 * size)
@@ -52,7 +52,7 @@ def split_bones(
 
 
 def drop_bones(skeleton: Skeleton, weights: Array, rng: np.random.Generator, count: int) -> Rig:
-    """Missing joints: their weights go to the next bone up, which is all that can move the flesh now."""
+    """Remove up to `count` random bones; their weights go to their parents."""
     able = np.flatnonzero(skeleton.parents >= 0)
     if len(able) < 3:
         return skeleton, weights
@@ -70,12 +70,12 @@ def drop_bones(skeleton: Skeleton, weights: Array, rng: np.random.Generator, cou
     return Skeleton(skeleton.names, skeleton.parents, skeleton.heads, tails).subset(keep), weights[:, keep]
 
 
-def move_joints(skeleton: Skeleton, rng: np.random.Generator, reach: float, size: float) -> Skeleton:
-    """Each joint moved by up to `reach`; tails that touch a joint move with it."""
+def move_joints(skeleton: Skeleton, rng: np.random.Generator, distance: float, size: float) -> Skeleton:
+    """Move each joint by up to `distance`; tails that touch a joint move with it."""
     shift = rng.normal(size=(skeleton.count, 3))
-    shift *= reach * rng.random((skeleton.count, 1)) / np.linalg.norm(shift, axis=1, keepdims=True)
+    shift *= distance * rng.random((skeleton.count, 1)) / np.linalg.norm(shift, axis=1, keepdims=True)
     free = rng.normal(size=(skeleton.count, 3))
-    free *= reach * rng.random((skeleton.count, 1)) / np.linalg.norm(free, axis=1, keepdims=True)
+    free *= distance * rng.random((skeleton.count, 1)) / np.linalg.norm(free, axis=1, keepdims=True)
     heads, tails = skeleton.heads + shift, skeleton.tails + free
     for bone in range(skeleton.count):
         way = np.linalg.norm(skeleton.heads - skeleton.tails[bone], axis=1)
@@ -83,11 +83,12 @@ def move_joints(skeleton: Skeleton, rng: np.random.Generator, reach: float, size
         joint = int(way.argmin())
         if way[joint] < 0.005 * size:
             tails[bone] = skeleton.tails[bone] + shift[joint]
-    return _sound(Skeleton(skeleton.names, skeleton.parents, heads, tails), size)
+    return _without_zero_lengths(Skeleton(skeleton.names, skeleton.parents, heads, tails), size)
 
 
 def add_idle_bones(skeleton: Skeleton, weights: Array, rng: np.random.Generator, count: int, size: float) -> Rig:
-    """IK targets, controls and helpers: near a joint, hanging on a root or on nothing, without weights."""
+    """Add `count` bones without weights, such as IK targets, controls and helpers: near a joint, and children of a
+    root, of the joint's bone or of none."""
     picked = rng.integers(0, skeleton.count, count)
     heads, tails = [], []
     for bone in picked:
@@ -105,18 +106,18 @@ def add_idle_bones(skeleton: Skeleton, weights: Array, rng: np.random.Generator,
         np.concatenate([skeleton.heads, heads]),
         np.concatenate([skeleton.tails, tails]),
     )
-    return _sound(grown, size), np.pad(weights, ((0, 0), (0, count)))
+    return _without_zero_lengths(grown, size), np.pad(weights, ((0, 0), (0, count)))
 
 
-def lose_tails(skeleton: Skeleton, rng: np.random.Generator, size: float) -> Skeleton:
-    """What an importer makes of a format that knows joints only: tails anywhere, a hundredth of the limb away."""
+def replace_tails(skeleton: Skeleton, rng: np.random.Generator, size: float) -> Skeleton:
+    """Put every tail in an arbitrary direction, at 1 % of `size`, as importers do for formats that have joints only."""
     tail = rng.normal(size=(skeleton.count, 3)) if rng.random() < 0.5 else np.tile([0.0, 0.0, 1.0], (skeleton.count, 1))
     tail = tail / np.linalg.norm(tail, axis=1, keepdims=True) * 0.01 * size
     return Skeleton(skeleton.names, skeleton.parents, skeleton.heads, skeleton.heads + tail)
 
 
-def _sound(skeleton: Skeleton, size: float) -> Skeleton:
-    """No bone without a length."""
+def _without_zero_lengths(skeleton: Skeleton, size: float) -> Skeleton:
+    """Give bones without a length a short one."""
     tails = skeleton.tails.copy()
     short = skeleton.lengths < 1e-4 * size
     tails[short] += np.array([0.0, 0.0, 0.01]) * size

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Described bodies with their true weights, kept on disk: what the network trains on."""
+"""Training samples: descriptions of bodies with their true weights, kept on disk."""
 
 from __future__ import annotations
 
-import os
 import zlib
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -12,29 +11,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...errors import InputError
+from ...files import read_arrays, write_arrays
 from ...rig.kinematics import pose_transforms
 from ...rig.lbs import skin_points
 from ...rig.poses import random_axes, random_poses
 from ...rig.skeleton import Skeleton
-from ...skinning.learned.describe import look_at
+from ...skinning.learned.describe import describe_body
 from ...skinning.learned.features import NAMES
 from ...skinning.learned.parts import neighbourhoods
+from ..rigged import RiggedMesh
 from . import creatures
-from .examples import Mesh, Subject, cover, disturb, only_used, read_mesh_asset
-from .proportions import reshape
+from .examples import TrainingBody, augment, read_mesh_asset, sample_splats, without_unused_bones
+from .proportions import change_proportions
 
 Array = NDArray[Any]
 
 ROWS = 500
-RESHAPED = 0.6
-"""Share of an asset's further lessons in which it has other proportions and another rest pose."""
+PROPORTIONS_CHANGED = 0.6
+"""Share of an asset's samples, after the first, with other proportions and another rest pose."""
 
-VERSION = 8
-"""Of the lesson files; other versions are made anew."""
+VERSION = 9
+"""Of the sample files; those of another version are made anew."""
 
 
 @dataclass(frozen=True)
-class Lesson:
+class TrainingSample:
     """bone (N, K) int16, values (N, K, F) float16, relation (B, B) int8, role (B,) int8, near and wide (N, k)
     int16, labels (N, 3) int16, points (N, 3) and heads (B, 3) float32 in units of the diagonal, parents (B,), truth
     (N, B) float16, valid (N,) bool, difficulty: mean posed-position error of the heat weights, in % of the
@@ -55,109 +57,124 @@ class Lesson:
     difficulty: float
 
     def save(self, path: Path) -> None:
-        """Write all at once, so that a killed run leaves no half file."""
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.npz")
-        np.savez(temporary, version=VERSION, names=np.array(NAMES), **vars(self))
-        os.replace(temporary, path)
+        """Write the file atomically, so that a killed run leaves no partial file."""
+        columns = {name: np.asarray(value) for name, value in vars(self).items()}
+        write_arrays(path, {"version": np.array(VERSION), "names": np.array(NAMES), **columns})
 
     @classmethod
-    def load(cls, path: Path) -> Lesson:
-        """KeyError or ValueError for a file of another version."""
-        with np.load(path) as data:
-            if int(data["version"]) != VERSION or tuple(data["names"]) != NAMES:
-                raise ValueError(f"{path} has another version")
-            columns = {f.name: data[f.name] for f in fields(cls)}
-        return cls(**{**columns, "difficulty": float(columns["difficulty"])})
+    def load(cls, path: Path) -> TrainingSample:
+        """Raises InputError for a file that is damaged or of another version."""
+        names = [f.name for f in fields(cls)]
+        try:
+            columns = read_arrays(path, ["version", "names", *names])
+        except (OSError, ValueError) as error:
+            raise InputError(
+                f"The training sample '{path}' cannot be read ({error}); delete it to have it made anew."
+            ) from None
+        version, features = columns.pop("version"), columns.pop("names")
+        if not _is_ours(version, features):
+            raise InputError(f"The training sample '{path}' has another version; delete it to have it made anew.")
+        difficulty = float(columns.pop("difficulty"))
+        return cls(**columns, difficulty=difficulty)
 
     def skeleton(self) -> Skeleton:
-        """The bones, for poses; their tails are of no importance there."""
+        """The bones, for poses, which do not depend on the tails."""
         names = tuple(str(i) for i in range(len(self.heads)))
         return Skeleton(names, self.parents, self.heads, self.heads + [0.0, 0.0, 0.01])
 
 
-def make_lesson(subject: Subject, rng: np.random.Generator, rows: int = ROWS) -> Lesson:
-    """Describe a subject."""
-    cloud, skeleton = subject.cloud, subject.skeleton
-    body = look_at(cloud, skeleton, rows=rows, resolution=int(rng.integers(56, 76)))
-    at = body.index[body.rows]
-    points = body.points[body.rows]
-    near, wide = neighbourhoods(points, body.reach.distances[body.rows])
-    labels = [np.unique(column[body.rows], return_inverse=True)[1] for column in body.parts.labels.T]
+def make_sample(body: TrainingBody, rng: np.random.Generator, rows: int = ROWS) -> TrainingSample:
+    """Describe a body at `rows` of its splats."""
+    cloud, skeleton = body.cloud, body.skeleton
+    described = describe_body(cloud, skeleton, rows=rows, resolution=int(rng.integers(56, 76)))
+    chosen, size = described.rows, described.size
+    at = described.index[chosen]
+    points = described.points[chosen]
+    near, wide = neighbourhoods(points, described.reach.distances[chosen])
+    labels = [np.unique(column[chosen], return_inverse=True)[1] for column in described.parts.labels.T]
     centre = points.mean(axis=0)
-    truth, valid = subject.weights[at], subject.valid[at]
-    unit = (points - centre) / body.size
-    described = body.description
-    lesson = Lesson(
-        described.bone,
-        described.values.astype(np.float16),
-        described.relation,
-        described.role,
+    truth, valid = body.weights[at], body.valid[at]
+    unit = (points - centre) / size
+    tokens = described.description
+    sample = TrainingSample(
+        tokens.bone,
+        tokens.values.astype(np.float16),
+        tokens.relation,
+        tokens.role,
         near.astype(np.int16),
         wide.astype(np.int16),
         np.stack(labels, axis=1).astype(np.int16),
         unit.astype(np.float32),
-        ((skeleton.heads - centre) / body.size).astype(np.float32),
+        ((skeleton.heads - centre) / size).astype(np.float32),
         skeleton.parents.astype(np.int16),
         truth.astype(np.float16),
         valid,
         0.0,
     )
-    heat = body.reach.heat[body.rows]
-    poses = posed_lesson(lesson, 16, np.random.default_rng(0))
+    heat = described.reach.heat[chosen]
+    poses = random_sample_poses(sample, 16, np.random.default_rng(0))
     error = np.linalg.norm(skin_points(unit, heat, poses) - skin_points(unit, truth, poses), axis=-1)
-    return replace(lesson, difficulty=float(100 * error[:, valid].mean()))
+    return replace(sample, difficulty=float(100 * error[:, valid].mean()))
 
 
-def posed_lesson(lesson: Lesson, count: int, rng: np.random.Generator) -> Array:
+def random_sample_poses(sample: TrainingSample, count: int, rng: np.random.Generator) -> Array:
     """`count` random poses (P, B, 4, 4) as the paper draws them, about random axes."""
-    skeleton, axes = lesson.skeleton(), random_axes(count, rng)
+    skeleton, axes = sample.skeleton(), random_axes(count, rng)
     return pose_transforms(skeleton, random_poses(skeleton, axes, count, rng))
 
 
 def seed_of(name: str, variant: int) -> int:
-    """A seed of its own for each variant of each asset, the same everywhere."""
+    """The seed of a variant of an asset, the same on every machine."""
     return zlib.crc32(f"{name}/{variant}".encode())
 
 
-def lesson_file(cache: Path, name: str, variant: int) -> Path:
-    """Where a lesson is kept."""
+def sample_file(cache: Path, name: str, variant: int) -> Path:
+    """The path of a sample in the cache."""
     return cache / f"{name}.{variant}.npz"
 
 
-def asset_lesson(npz: Path, name: str, variant: int, cache: Path) -> Path:
-    """Make the lesson of a variant unless it is there. Variant 0 is the asset as it is, with its used bones."""
-    path = lesson_file(cache, name, variant)
+def asset_sample(npz: Path, name: str, variant: int, cache: Path) -> Path:
+    """Make the sample of a variant unless the cache has it; returns its path. Variant 0 is the asset unchanged, without
+    its unused bones."""
+    path = sample_file(cache, name, variant)
     if not _current(path):
         rng = np.random.default_rng(seed_of(name, variant))
         mesh = read_mesh_asset(npz)
-        if variant > 0 and rng.random() < RESHAPED:
-            mesh = reshape(mesh, rng)
-        subject = _plain(mesh, rng) if variant == 0 else disturb(cover(mesh, rng), rng)
-        make_lesson(subject, rng).save(path)
+        if variant > 0 and rng.random() < PROPORTIONS_CHANGED:
+            mesh = change_proportions(mesh, rng)
+        body = _unchanged(mesh, rng) if variant == 0 else augment(sample_splats(mesh, rng), rng)
+        make_sample(body, rng).save(path)
     return path
 
 
-def _plain(mesh: Mesh, rng: np.random.Generator) -> Subject:
-    skeleton, weights = only_used(mesh.skeleton, mesh.weights, mesh.used)
+def _unchanged(mesh: RiggedMesh, rng: np.random.Generator) -> TrainingBody:
+    skeleton, weights = without_unused_bones(mesh.skeleton, mesh.weights, mesh.used)
     from ...splats.from_mesh import sample_mesh
 
     cloud, face, bary = sample_mesh(mesh.verts, mesh.faces, mesh.corner_rgb, 6000, rng)
     sampled = np.einsum("nk,nkb->nb", bary, weights[mesh.faces[face]])
     total = sampled.sum(1, keepdims=True)
-    return Subject(cloud, skeleton, (sampled / np.maximum(total, 1e-9)).astype(np.float32), total[:, 0] > 0.5)
+    return TrainingBody(cloud, skeleton, (sampled / np.maximum(total, 1e-9)).astype(np.float32), total[:, 0] > 0.5)
 
 
-def creature_lesson(seed: int, cache: Path) -> Path:
-    """Make the lesson of a generated creature unless it is there."""
-    path = lesson_file(cache, "creature", seed)
+def creature_sample(seed: int, cache: Path) -> Path:
+    """Make the sample of a generated creature unless the cache has it; returns its path."""
+    path = sample_file(cache, "creature", seed)
     if not _current(path):
         rng = np.random.default_rng(seed_of("creature", seed))
-        make_lesson(disturb(creatures.generate(rng), rng), rng).save(path)
+        make_sample(augment(creatures.generate_creature(rng), rng), rng).save(path)
     return path
 
 
 def _current(path: Path) -> bool:
     if not path.is_file():
         return False
-    with np.load(path) as data:
-        return int(data["version"]) == VERSION and tuple(data["names"]) == NAMES
+    try:
+        head = read_arrays(path, ["version", "names"])
+    except (OSError, ValueError):
+        return False  # damaged or foreign: made anew
+    return _is_ours(head["version"], head["names"])
+
+
+def _is_ours(version: Array, features: Array) -> bool:
+    return bool(np.array_equal(version, VERSION) and np.array_equal(features, np.array(NAMES)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which lessons a training is made of, and the folds of the held-out evaluation."""
+"""Which samples a training uses, and the folds of the held-out evaluation."""
 
 from __future__ import annotations
 
@@ -8,15 +8,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from ...errors import InputError
 from ..catalogue import Asset
-from .samples import asset_lesson, creature_lesson
-from .train import CREATURES, Syllabus
+from .samples import TrainingSample, asset_sample, creature_sample
+
+CREATURES = "made by gskin"
+"""The family of the synthetic creatures."""
+
+FAMILY_FACTORS = {"Animalia": 0.25}
+"""Factors on the chance of a family: these are boxes with rigid weights."""
 
 PER_FAMILY = 14
-"""Lessons of a family, times the square root of its number of assets: large families have many alike."""
+"""Samples of a family, per square root of its number of assets: large families have many similar ones."""
 
-NEVER = ("OpenDungeons",)
-"""Families that no model of ours sees: mostly share-alike works, and the test of the shipped model."""
+ALWAYS_LEFT_OUT = ("OpenDungeons",)
+"""Families that no model is trained on: mostly share-alike works, which test the shipped model."""
 
 FOLDS: dict[str, tuple[str, ...]] = {
     "people": ("Quaternius 2016-2019",),
@@ -29,13 +37,13 @@ FOLDS: dict[str, tuple[str, ...]] = {
         "q_single_knight_KnightCharacter",
     ),
 }  # fmt: skip
-"""Families left out together, those of one kind, so that each asset for evaluation is judged by a model that never saw
-its family."""
+"""Similar families are left out together, so that every asset of the evaluation is tested with a model that was not
+trained on its family."""
 
 
 @dataclass(frozen=True)
-class Request:
-    """One lesson to make: an asset's name, family and npz file (None for a creature), and the variant."""
+class SampleRequest:
+    """One sample to make: an asset's name, family and npz file (None for a creature), and the variant."""
 
     name: str
     family: str
@@ -43,35 +51,61 @@ class Request:
     variant: int
 
     def make(self, cache: Path) -> Path:
-        """Make it, unless it is in the cache; returns its file."""
+        """Make the sample unless it is in the cache; returns its path."""
         if self.npz is None:
-            return creature_lesson(self.variant, cache)
-        return asset_lesson(self.npz, self.name, self.variant, cache)
+            return creature_sample(self.variant, cache)
+        return asset_sample(self.npz, self.name, self.variant, cache)
 
 
-def plan(assets: Sequence[Asset], leave_out: Sequence[str], creatures: int) -> list[Request]:
-    """The lessons of all families but those left out; what is the same in every fold comes out the same."""
+class SamplingPlan:
+    """Sample files by family and asset; large families count for less than their size."""
+
+    def __init__(self, files: dict[str, dict[str, list[Path]]]) -> None:
+        """files: family -> asset -> its samples. Raises InputError if there are none."""
+        self.files = {family: list(assets.values()) for family, assets in sorted(files.items()) if assets}
+        if not self.files:
+            raise InputError("There is nothing to learn from: every family of the catalogue is left out.")
+        count = np.array([len(assets) ** 0.65 * FAMILY_FACTORS.get(name, 1.0) for name, assets in self.files.items()])
+        self._chance = count / count.sum()
+
+    def draw(self, count: int, rng: np.random.Generator) -> list[TrainingSample]:
+        """`count` samples of different families, if there are enough families."""
+        families = list(self.files)
+        replace = count > len(families)
+        picked = rng.choice(len(families), count, replace=replace, p=self._chance)
+        out = []
+        for number in picked:
+            assets = self.files[families[number]]
+            samples = assets[rng.integers(len(assets))]
+            out.append(TrainingSample.load(samples[rng.integers(len(samples))]))
+        return out
+
+
+def plan_samples(assets: Sequence[Asset], leave_out: Sequence[str], creatures: int) -> list[SampleRequest]:
+    """The samples of all families but those left out; a family's samples are the same in every fold."""
     families: dict[str, list[Asset]] = {}
     for asset in assets:
         if asset.family not in leave_out:
             families.setdefault(asset.family, []).append(asset)
-    rounds: dict[int, list[Request]] = {}
+    rounds: dict[int, list[SampleRequest]] = {}
     for family, members in families.items():
         wanted = math.ceil(PER_FAMILY * math.sqrt(len(members)))
         for number in range(max(wanted, len(members))):
             asset, variant = members[number % len(members)], number // len(members)
-            rounds.setdefault(variant, []).append(Request(asset.name, family, asset.path, variant))
+            rounds.setdefault(variant, []).append(SampleRequest(asset.name, family, asset.path, variant))
     for seed in range(creatures):
-        rounds.setdefault(seed // 40, []).append(Request("creature", CREATURES, None, seed))
+        rounds.setdefault(seed // 40, []).append(SampleRequest("creature", CREATURES, None, seed))
     return [request for _, some in sorted(rounds.items()) for request in some]
 
 
-def collect(requests: Sequence[Request], cache: Path, tell: Callable[[int, int], None]) -> Syllabus:
-    """Make the lessons that are missing; `tell` hears how many of how many are there."""
+def make_samples(
+    requests: Sequence[SampleRequest], cache: Path, report: Callable[[int, int], None]
+) -> SamplingPlan:
+    """Make the missing samples; `report` is called with the number of those done and of all."""
     cache.mkdir(parents=True, exist_ok=True)
     files: dict[str, dict[str, list[Path]]] = {}
     for number, request in enumerate(requests):
-        tell(number, len(requests))
+        report(number, len(requests))
         asset = request.name if request.npz is not None else f"{request.name} {request.variant}"
         files.setdefault(request.family, {}).setdefault(asset, []).append(request.make(cache))
-    return Syllabus(files)
+    return SamplingPlan(files)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from gskin_addon.core.errors import InputError
-from gskin_addon.core.guidance.lightning_drag.point_maps import check_size, point_maps, spread_points
+from gskin_addon.core.guidance.lightning_drag.point_maps import check_size, farthest_points, point_maps
 
 
 def test_points_are_single_numbered_pixels():
@@ -48,17 +48,17 @@ def test_dense_points_are_thinned_by_their_distance():
     cluster = rng.normal(30, 0.5, (40, 2))
     far = np.array([[400.0, 30], [30, 400], [400, 400]])
     handles = np.concatenate([cluster[:20], far, cluster[20:]])
-    kept, targets = spread_points(handles, handles + (0, 3), 5)
+    kept, targets = farthest_points(handles, handles + (0, 3), 5)
     assert len(kept) == len(targets) == 5
     assert {tuple(p) for p in far} <= {tuple(p) for p in kept}
     np.testing.assert_array_equal(targets, kept + (0, 3))
     order = [np.flatnonzero((handles == p).all(1))[0] for p in kept]
     assert order == sorted(order)
-    assert spread_points(handles, handles, 0)[0] is handles
+    assert farthest_points(handles, handles, 0)[0] is handles
 
 
 def test_thinning_keeps_the_point_that_moves_most_and_joints_that_part():
     handles = np.full((6, 2), 50.0)
     targets = handles + np.array([[1, 0], [0, 1], [30, 0], [1, 1], [0, 25], [2, 2]])
-    _, kept = spread_points(handles, targets, 2)
+    _, kept = farthest_points(handles, targets, 2)
     np.testing.assert_array_equal(kept, targets[[2, 4]])

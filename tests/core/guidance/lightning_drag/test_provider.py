@@ -23,6 +23,7 @@ from gskin_addon.core.guidance.lightning_drag.pipeline import LightningDragPaint
 from gskin_addon.core.guidance.options import LightningDragOptions
 from gskin_addon.core.guidance.provider import GuidanceContext, to_bytes
 from gskin_addon.core.pipeline import run as job
+from gskin_addon.core.pipeline import steps
 from gskin_addon.core.render.camera import paper_views
 from gskin_addon.core.render.rasterizer import render_cloud
 from gskin_addon.core.skinning import presets
@@ -203,7 +204,7 @@ def test_another_checkpoint_makes_new_images(context, signals, models, tmp_path)
 
 def test_a_whole_job(models, tmp_path, monkeypatch):
     monkeypatch.setitem(presets.PRESETS, "draft", presets.Preset("for tests", 1, ((64, 6),), 2, held_out=0))
-    monkeypatch.setattr(job, "GUIDANCE_SIZE", 64)
+    monkeypatch.setattr(steps, "GUIDANCE_SIZE", 64)
     limb = make_limb(400)
     stages = []
     settings = {

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import torch
 
-from gskin_addon.core.skinning.fields.base import LOG_FLOOR
+from gskin_addon.core.skinning.fields import LOG_FLOOR
 from gskin_addon.core.skinning.fields.pyramid import SparsePyramid
 
 

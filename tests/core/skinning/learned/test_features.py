@@ -10,7 +10,7 @@ import pytest
 
 from gskin_addon.core.rig.segments import bone_segments
 from gskin_addon.core.rig.skeleton import Skeleton
-from gskin_addon.core.skinning.learned.describe import look_at
+from gskin_addon.core.skinning.learned.describe import describe_body
 from gskin_addon.core.skinning.learned.features import NAMES, TOKENS, Reach, describe
 from gskin_addon.core.training.prior import creatures
 
@@ -18,9 +18,8 @@ from gskin_addon.core.training.prior import creatures
 @pytest.fixture(scope="module")
 def scene():
     """A creature with everything that `describe` wants."""
-    subject = creatures.generate(np.random.default_rng(5), creatures.KINDS[0][0])  # a biped
-    body = look_at(subject.cloud, subject.skeleton, limit=800)
-    return subject.skeleton, body
+    biped = creatures.generate_creature(np.random.default_rng(5), creatures.KINDS[0][0])
+    return biped.skeleton, describe_body(biped.cloud, biped.skeleton, limit=800)
 
 
 def described(scene, points=None, skeleton=None, factor=1.0, normals=None, out=None, rows=None):

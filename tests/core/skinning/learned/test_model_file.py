@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 import torch
+from safetensors import safe_open
 from safetensors.torch import save_file
 
 from gskin_addon.core.errors import InputError
@@ -14,9 +17,10 @@ from gskin_addon.core.skinning.learned.model_file import (
     load_model,
     models_without,
     read_card,
-    save_model,
 )
-from gskin_addon.core.skinning.learned.network import PriorNetwork, Shape
+from gskin_addon.core.skinning.learned.network import Shape
+from gskin_addon.core.training.prior.torch_network import PriorNetwork
+from gskin_addon.core.training.prior.write_model import save_model
 
 CARD = ModelCard(("Foxes", "Fish"), ("Cows",), {"steps": 3})
 
@@ -31,7 +35,7 @@ def test_a_model_comes_back(tmp_path):
     for network, same in zip(networks, again, strict=True):
         assert same.shape == network.shape
         for name, value in network.state_dict().items():
-            torch.testing.assert_close(same.state_dict()[name], value, rtol=1e-3, atol=1e-4)
+            torch.testing.assert_close(torch.from_numpy(same.parameters[name].copy()), value, rtol=1e-3, atol=1e-4)
     assert [path.name for path in tmp_path.iterdir()] == ["a.safetensors"]
 
 
@@ -52,6 +56,34 @@ def test_wrong_files_are_refused_in_one_sentence(tmp_path):
     save_file({"x": torch.zeros(3)}, tmp_path / "foreign.safetensors")
     with pytest.raises(InputError, match="no prior of gskin"):
         load_model(tmp_path / "foreign.safetensors")
+
+
+def test_files_that_do_not_hold_what_they_say_are_refused(tmp_path):
+    path = tmp_path / "a.safetensors"
+    save_model([PriorNetwork(Shape(width=32, heads=2))], path, CARD)
+    with safe_open(path, "pt") as file:
+        (key, words), tensors = next(iter(file.metadata().items())), {n: file.get_tensor(n) for n in file.keys()}  # noqa: SIM118
+    about = json.loads(words)
+    short = {name: value for name, value in tensors.items() if name != "0.hear.weight"}
+    for changed, kept in (
+        ({"networks": 2}, tensors),
+        ({"networks": 10**12}, tensors),
+        ({"networks": "one"}, tensors),
+        ({"shape": {**about["shape"], "width": 64}}, tensors),
+        ({"shape": {**about["shape"], "before": 10**12}}, tensors),
+        ({"shape": {**about["shape"], "heads": 0}}, tensors),
+        ({"shape": {"depth": 3}}, tensors),
+        ({}, short),
+    ):
+        save_file(kept, path, {key: json.dumps({**about, **changed})})
+        with pytest.raises(InputError, match="does not hold the weights that it says"):
+            load_model(path)
+    save_file(tensors, path, {key: "{"})
+    with pytest.raises(InputError, match="broken metadata"):
+        load_model(path)
+    path.write_bytes(path.read_bytes()[:-7])
+    with pytest.raises(InputError, match="no safetensors file"):
+        load_model(path)
 
 
 def test_the_shipped_model_is_small_and_says_what_it_left_out():

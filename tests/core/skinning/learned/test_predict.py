@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gskin_addon.core.errors import Cancelled
 from gskin_addon.core.rig.kinematics import pose_transforms
 from gskin_addon.core.rig.lbs import skin_points
 from gskin_addon.core.rig.poses import random_axes, random_poses
 from gskin_addon.core.rig.skeleton import Skeleton
-from gskin_addon.core.skinning.initial import initial_weights_geodesic
+from gskin_addon.core.skinning.initial import initial_weights_geodesic, initial_with_confidence
 from gskin_addon.core.skinning.learned import predict
 from gskin_addon.core.skinning.learned.predict import learned_weights
 from gskin_addon.core.splats.cloud import SplatCloud
@@ -42,19 +43,19 @@ def check(weights, confidence, cloud, skeleton):
 
 
 def test_better_than_distances_on_creatures_that_were_not_trained():
-    """Their seeds are not of the form that `creature_lesson` makes."""
+    """Their seeds are not of the form that `creature_sample` makes."""
     ratios = []
     for seed in (1, 2, 3, 4):
-        subject = creatures.generate(np.random.default_rng([seed, 20_011]))
-        cloud, skeleton = subject.cloud, subject.skeleton
+        body = creatures.generate_creature(np.random.default_rng([seed, 20_011]))
+        cloud, skeleton = body.cloud, body.skeleton
         weights, confidence = learned_weights(cloud, skeleton)
         check(weights, confidence, cloud, skeleton)
         plain = initial_weights_geodesic(
             cloud.means, cloud.opacities, skeleton, scales=cloud.scales, quats=cloud.quats
         )
-        errors = [posed_distance(cloud.means, skeleton, w, subject.weights) for w in (weights, plain)]
+        errors = [posed_distance(cloud.means, skeleton, w, body.weights) for w in (weights, plain)]
         ratios.append(errors[0] / errors[1])
-        wrong = np.abs(weights - subject.weights).sum(axis=1) / 2
+        wrong = np.abs(weights - body.weights).sum(axis=1) / 2
         low, high = np.quantile(confidence, [0.2, 0.8])
         assert wrong[confidence <= low].mean() > wrong[confidence >= high].mean()
     assert max(ratios) < 1
@@ -63,14 +64,14 @@ def test_better_than_distances_on_creatures_that_were_not_trained():
 
 def test_equal_runs_give_equal_bits_wherever_the_body_is():
     limb = make_limb(1500)
-    here, sure = learned_weights(limb.cloud, limb.skeleton)
+    here, confidence_out = learned_weights(limb.cloud, limb.skeleton)
     again, _ = learned_weights(limb.cloud, limb.skeleton)
     np.testing.assert_array_equal(here, again)
     far = replace(limb.cloud, means=limb.cloud.means * 50 + 7, scales=limb.cloud.scales * 50)
     there, _ = learned_weights(far, limb.skeleton.moved(np.eye(3), 50.0, (7, 7, 7)))
     assert np.abs(here - there).sum(axis=1).mean() < 0.05
     assert np.abs(here - limb.weights).sum(axis=1).mean() / 2 < 0.15
-    assert sure.mean() > 0.5
+    assert confidence_out.mean() > 0.5
 
 
 def test_one_bone_takes_all():
@@ -120,6 +121,28 @@ def test_two_splats_are_a_body():
     limb = make_limb(600)
     pair = limb.cloud.select(np.array([5, 400]))
     check(*learned_weights(pair, limb.skeleton), pair, limb.skeleton)
+
+
+@pytest.mark.parametrize("name", ["learned", "heat", "geodesic"])
+def test_the_work_tells_how_far_it_is_and_can_be_stopped(name):
+    limb = make_limb(8000)
+    told: list[float] = []
+
+    def weights(tick):
+        return initial_with_confidence(name, limb.cloud, limb.skeleton, np.zeros((0, 4, 4), bool), [], tick=tick)[0]
+
+    np.testing.assert_array_equal(weights(told.append), weights(lambda done: None))
+    assert told == sorted(told)
+    assert min(told) >= 0
+    assert max(told) <= 1
+    for stop in (0.0, 0.3, 0.7):
+
+        def tick(done, stop=stop):
+            if done >= stop:
+                raise Cancelled
+
+        with pytest.raises(Cancelled):
+            weights(tick)
 
 
 @pytest.mark.parametrize("name", ["learned"])

@@ -29,7 +29,7 @@ from gskin_addon.core.training.guidance.drag_loss import DragLoss, trained_param
 from gskin_addon.core.training.guidance.examples import Examples, batches, collate, pair_number
 from gskin_addon.core.training.guidance.finetune import tune
 from gskin_addon.core.training.guidance.pairs import PairDataset
-from gskin_addon.core.training.guidance.tune_state import Average
+from gskin_addon.core.training.guidance.tune_state import STATE, Average
 from gskin_addon.core.training.guidance.validate import chosen_pairs, validate
 from tests.helpers.tiny_training import write_pairs, write_tiny
 
@@ -155,7 +155,7 @@ def test_a_killed_training_ends_as_one_that_was_not(pairs, models, tmp_path):
     with pytest.raises(InputError, match=r"other settings \(learning_rate was 0.001, is 0.1\); choose another --out"):
         tune(pairs, tmp_path / "whole", {**settings, "learning_rate": 0.1}, silent)
     (tmp_path / "killed/fine_tuned.json").unlink()
-    (tmp_path / "killed/training.pt").write_bytes(b"half")
+    (tmp_path / "killed" / STATE).write_bytes(b"half")
     with pytest.raises(InputError, match=r"checkpoint .* cannot be read"):
         tune(pairs, tmp_path / "killed", settings, silent)
 

@@ -8,10 +8,10 @@ import json
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
+from patience import HANG, interruptible, wait_until
 from rigged_assets import write_collection, write_tube
 
 import gskin_addon
@@ -70,14 +70,15 @@ def test_ctrl_c_keeps_what_is_finished(tmp_path):
     assets = write_collection(tmp_path / "many", {"fox": 60, "owl": 1})
     out = tmp_path / "pairs"
     command = [sys.executable, str(PROGRAM), "train-guidance", "pairs", str(assets), "--out", str(out), *SMALL]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    until = time.monotonic() + 200
-    while not ((out / "manifest.json").is_file() and read_manifest(out)["shards"]):
-        assert time.monotonic() < until
+    process = interruptible(command, stderr=subprocess.PIPE, text=True)
+
+    def begun() -> bool:
         assert process.poll() is None
-        time.sleep(0.05)
+        return (out / "manifest.json").is_file() and bool(read_manifest(out)["shards"])
+
+    wait_until(begun)
     process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=60)
+    _, said = process.communicate(timeout=HANG)
     assert process.returncode == 130
     assert said.splitlines()[-1].startswith("Stopped; what is finished stays in ")
     assert 0 < len(PairDataset(out)) < 60 * 8

@@ -12,8 +12,9 @@ from gskin_addon.core.job.settings import JobSettings
 from gskin_addon.core.skinning.learned.model_file import read_card
 from gskin_addon.core.skinning.learned.predict import learned_weights
 from gskin_addon.core.training.prior import sampling_plan
-from gskin_addon.core.training.prior.examples import only_used, read_mesh_asset
-from gskin_addon.core.training.prior.train import CREATURES, Trainer
+from gskin_addon.core.training.prior.examples import read_mesh_asset, without_unused_bones
+from gskin_addon.core.training.prior.sampling_plan import CREATURES
+from gskin_addon.core.training.prior.train import Trainer
 from tests.helpers.limb import make_limb
 
 LICENCES = {"Tubes": "CC0", "Pipes": "CC-BY-4.0", "Hoses": "CC-BY-SA-3.0"}
@@ -31,7 +32,7 @@ def assets(tmp_path, monkeypatch):
 
 def train(assets, out, *more):
     fixed = ["--steps", "3", "--creatures", "1", "--networks", "2", "--threads", "1"]
-    fixed += ["--cache", str(out.parent / "lessons")]
+    fixed += ["--cache", str(out.parent / "samples")]
     return cli.main(["train-prior", "--assets", str(assets), "--out", str(out), *fixed, *more])
 
 
@@ -71,7 +72,7 @@ def test_control_bones_are_known_by_their_weights(assets):
     mesh = read_mesh_asset(assets / "npz" / "Pipes_0.npz")
     mesh.skeleton.validate()
     assert mesh.used.sum() == 3
-    skeleton, weights = only_used(mesh.skeleton, mesh.weights, mesh.used)
+    skeleton, weights = without_unused_bones(mesh.skeleton, mesh.weights, mesh.used)
     np.testing.assert_allclose(skeleton.heads[:, 0], [0, 1, 2])
     assert skeleton.parents.tolist() == [-1, 0, 1]
     np.testing.assert_allclose(weights.sum(axis=1), 1)

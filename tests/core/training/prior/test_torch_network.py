@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The network: shapes, missing tokens, the exchange among splats against plain loops."""
+"""The network that is trained: shapes, missing tokens, the exchange among splats against plain loops; and the one in
+numpy that answers in its place."""
 
 from __future__ import annotations
 
@@ -7,9 +8,12 @@ import numpy as np
 import torch
 
 from gskin_addon.core.rig.bone_roles import ROLES
-from gskin_addon.core.skinning.learned.features import NAMES, TOKENS
-from gskin_addon.core.skinning.learned.network import PriorNetwork, Shape, make_batch, pool_tokens
+from gskin_addon.core.skinning.learned import network as in_numpy
+from gskin_addon.core.skinning.learned.features import NAMES, TOKENS, Description
+from gskin_addon.core.skinning.learned.network import Shape, parameter_shapes
+from gskin_addon.core.skinning.learned.parts import Parts
 from gskin_addon.core.skinning.learned.tree import kinship
+from gskin_addon.core.training.prior.torch_network import PriorNetwork, make_batch, pool_tokens
 
 
 def fake_body(count, bones, rng):
@@ -102,3 +106,37 @@ def test_an_untrained_network_gives_the_heat_weights():
     with torch.no_grad():
         answer = PriorNetwork()(make_batch([body]))
     np.testing.assert_allclose(answer.final.softmax(-1), heat, atol=1e-5)
+
+
+def as_numpy(network):
+    parameters = {name: value.numpy() for name, value in network.state_dict().items()}
+    return in_numpy.PriorNetwork(network.shape, parameters)
+
+
+def described(body):
+    description = Description(body["bone"].astype(np.int16), body["values"], body["relation"], body["role"])
+    return description, Parts((body["near"], body["wide"]), body["labels"].astype(np.int32))
+
+
+def test_both_networks_have_the_same_parameters():
+    for shape in (Shape(), Shape(width=32, heads=2, before=1, after=2, channels=3, style=5)):
+        have = {name: tuple(value.shape) for name, value in PriorNetwork(shape).state_dict().items()}
+        assert parameter_shapes(shape) == have
+
+
+def test_numpy_answers_as_torch_does():
+    """With few bones, with many, with one, and with more splats than a block has."""
+    rng = np.random.default_rng(5)
+    network = random_network()
+    network.mean.copy_(torch.randn(len(NAMES)))
+    network.deviation.copy_(torch.rand(len(NAMES)) + 0.5)
+    for count, bones in ((30, 4), (950, 40), (9, 1), (2, 12)):
+        body = fake_body(count, bones, rng)
+        with torch.no_grad():
+            expected = network(make_batch([body]))
+        got = as_numpy(network)(*described(body))
+        for name in ("first", "final", "doubt"):
+            wanted = getattr(expected, name).numpy()
+            np.testing.assert_allclose(getattr(got, name), wanted, rtol=2e-3, atol=2e-3, err_msg=name)
+        share = expected.final.softmax(-1).numpy()
+        np.testing.assert_allclose(in_numpy.softmax(got.final), share, atol=1e-4)

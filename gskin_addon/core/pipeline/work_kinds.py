@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The kinds of work of each recipe: how many pieces of each, and guessed seconds for one, measured on two cores.
+
+See `Eta`. Without torch, so that a window can say how long a job will take.
+"""
+
+from __future__ import annotations
+
+from ..guidance import NO_GUIDANCE
+from ..skinning.presets import Preset, preset_by_name
+from ..skinning.visibility_schedule import PRUNE_FROM, visibility_schedule
+
+Kinds = dict[str, tuple[int, float]]
+"""Name -> (pieces, guessed seconds for each), in the order of the run."""
+
+CHECKS = 10
+"""Checks on the held-out poses in a run."""
+
+
+def default_kinds(splats: int) -> Kinds:
+    """The kinds of work of the default recipe on so many splats."""
+    size = splats / 50_000
+    return {"splats": (1, 0.06 * size), "initial": (1, 2.0 + 0.8 * size), "finish": (1, 0.2 * size)}
+
+
+def rendering_kinds(guidance: str, preset: str, views: int, splats: int, bones: int) -> Kinds:
+    """The kinds of work of a recipe that renders `splats` splats, with learning where there is a guidance."""
+    size = splats / 50_000
+    kinds = {"splats": (1, 0.06 * size), "initial": (1, 0.3 + 0.8 * size)}
+    if guidance != NO_GUIDANCE:
+        kinds |= guided_kinds(preset_by_name(preset), views, splats, bones)
+    return kinds | {"finish": (1, 0.8 * size)}
+
+
+def guided_kinds(preset: Preset, views: int, splats: int, bones: int) -> Kinds:
+    """The kinds of work of learning from guidance images."""
+    size = splats / 50_000
+    images = views * preset.poses_per_view
+    updates = visibility_schedule(preset, images) if splats >= PRUNE_FROM else ()
+    wanted = images + views * preset.held_out
+    kinds = {"distances": (1, 0.5 * size), "first image": (1, 0.2 + size)}
+    kinds |= {"guidance": (wanted - 1, 0.042 * (0.8 + size))}
+    for size_px, stage in preset.ranges():
+        pixels = (size_px / 512) ** 2
+        guess = preset.batch * 0.02 * (0.3 + pixels) * (0.3 + size) * (0.6 + bones / 50)
+        pieces = kinds.get(learning_kind(size_px), (0, 0.0))[0] + len(stage)
+        kinds[learning_kind(size_px)] = (pieces, guess)
+        pieces = kinds.get(visibility_kind(size_px), (0, 0.0))[0] + sum(at in stage for at in updates)
+        kinds[visibility_kind(size_px)] = (pieces, images * 0.008 * size)
+    kinds["check"] = (len(checks_of(preset)) if preset.held_out else 0, views * preset.held_out * 0.02 * size)
+    return kinds
+
+
+def learning_kind(size: int) -> str:
+    """The kind of an iteration on images of `size` pixels."""
+    return f"learn at {size}"
+
+
+def visibility_kind(size: int) -> str:
+    """The kind of finding out what views of `size` pixels see."""
+    return f"visibility at {size}"
+
+
+def checks_of(preset: Preset) -> frozenset[int]:
+    """The iterations after which the held-out poses are checked: about every tenth of the run, and the end."""
+    return frozenset(round(part * preset.iterations / CHECKS) for part in range(1, CHECKS + 1))

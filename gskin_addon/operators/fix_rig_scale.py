@@ -1,0 +1,35 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Scale Rig to Splats: a rig in centimetres, say, gets the size of the splats."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..scene.rig_fit import rest_skeleton, sample_splats, scale_to_fit, to_world, topmost
+from ..session.chosen import chosen_armature, chosen_splats
+from ._rig_and_splats import can_move_rig
+
+
+class GSKIN_OT_fix_rig_scale(bpy.types.Operator):
+    """Scale the armature object (or what carries it) so that its bones are as large as the splats"""
+
+    bl_idname = "gskin.fix_rig_scale"
+    bl_label = "Scale Rig to Splats"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return can_move_rig(cls, context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        splats, armature = chosen_splats(context), chosen_armature(context)
+        context.view_layer.update()
+        factor = scale_to_fit(to_world(sample_splats(splats).points, splats), rest_skeleton(armature))
+        top = topmost(armature)
+        top.scale = top.scale * factor
+        context.view_layer.update()
+        self.report({"INFO"}, f"'{top.name}' was scaled by {factor:.3g}")
+        return {"FINISHED"}
+
+
+CLASSES = (GSKIN_OT_fix_rig_scale,)

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How a rig lies in splats, from a sample of them: quick enough for panels, which ask on every redraw."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.rig.skeleton import Skeleton
+from ..core.splats.cleanup import find_strays
+from ..core.splats.cloud import SplatCloud
+from .attributes import ObjectData, read_positions
+
+Array = NDArray[Any]
+
+SAMPLE = 20_000
+"""The most splats that are looked at."""
+
+_GAP = 0.03
+"""A sample is thinner than the splats: with the gap of `find_strays` its fringes would count as strays."""
+
+_FILLED = 0.9
+"""Part of the splats' extent that the bones of a sound rig have: their ends lie inside the body."""
+
+
+@dataclass(frozen=True, eq=False)
+class SplatSample:
+    """points (n, 3) float64 in the object's own space, without strays; strays: their share of the splats, 0 to 1."""
+
+    points: Array
+    strays: float
+
+
+def sample_splats(obj: bpy.types.Object) -> SplatSample:
+    """At most `SAMPLE` evenly picked splats of a splat object with at least two, at rest."""
+    points = read_positions(obj.data)
+    points = points[:: -(-len(points) // SAMPLE)]
+    blank = np.zeros((len(points), 1, 3), np.float32)
+    ones = np.ones((len(points), 4), np.float32)
+    stray = find_strays(SplatCloud(points, ones / 2, ones[:, :3], ones[:, 0], blank), gap=_GAP)
+    kept = points if stray.all() else points[~stray]
+    return SplatSample(kept.astype(np.float64), float(stray.mean()))
+
+
+def to_world(points: Array, obj: bpy.types.Object) -> Array:
+    """Points (n, 3) of the object's space in the world, as of the last update."""
+    matrix = np.array(obj.matrix_world, dtype=np.float64)
+    return points @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def rest_skeleton(armature: bpy.types.Object) -> Skeleton:
+    """Ends of the deform bones at rest in the world, as of the last update; without parents and rest rotations."""
+    data: ObjectData = armature.data
+    bones = [bone for bone in data.bones if bone.use_deform]
+    ends = [to_world(np.array([getattr(b, end) for b in bones], np.float64).reshape(-1, 3), armature)
+            for end in ("head_local", "tail_local")]  # fmt: skip
+    return Skeleton(tuple(bone.name for bone in bones), np.full(len(bones), -1), *ends)
+
+
+def box_of(points: Array) -> tuple[Array, Array]:
+    """Lower and upper corner (3,) of the box of points (n, 3), without their outermost hundredth on each side."""
+    lower, upper = np.percentile(points, [1, 99], axis=0)
+    return lower, upper
+
+
+def bone_box(skeleton: Skeleton) -> tuple[Array, Array]:
+    """Lower and upper corner (3,) of the box of the bones."""
+    ends = np.concatenate([skeleton.heads, skeleton.tails])
+    return ends.min(axis=0), ends.max(axis=0)
+
+
+def scale_to_fit(points: Array, skeleton: Skeleton) -> float:
+    """By how much the bones must be scaled to be as large as the splats at `points` (n, 3); 1 where one has no size."""
+    (low, high), (bottom, top) = box_of(points), bone_box(skeleton)
+    wanted, present = float(np.linalg.norm(high - low)), float(np.linalg.norm(top - bottom))
+    return _FILLED * wanted / present if wanted > 0 and present > 0 else 1.0
+
+
+def step_to_fit(points: Array, skeleton: Skeleton) -> Array:
+    """(3,) translation that brings the bones into the splats at `points` (n, 3): middle over middle, feet on feet."""
+    (low, high), (bottom, top) = box_of(points), bone_box(skeleton)
+    step = np.asarray(((low + high) - (bottom + top)) / 2)
+    if top[2] - bottom[2] > 0.5 * (high[2] - low[2]):  # a whole figure, which stands
+        step[2] = low[2] - bottom[2]
+    return step
+
+
+def topmost(obj: bpy.types.Object) -> bpy.types.Object:
+    """The object that carries `obj` and is carried by none: what must be moved or scaled to move or scale it."""
+    while obj.parent is not None:
+        obj = obj.parent
+    return obj
