@@ -42,7 +42,8 @@ def job_python(needs_runtime: bool, preference: str = "") -> Path:
     if python is None:
         if not needs_runtime:
             raise InputError(
-                "No Python was found to run the job in; name one in the add-on's preferences.", terminal=f"or {VARIABLE}"
+                "No Python was found to run the job in; name one in the add-on's preferences.",
+                terminal=f"or {VARIABLE}",
             )
         raise InputError(
             "No Python with torch was found, which guidance needs; name one in the add-on's preferences.",
