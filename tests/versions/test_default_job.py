@@ -46,7 +46,7 @@ def test_the_worker_does_a_default_job(tmp_path):
     job = write_job(tmp_path / "job", limb.cloud, limb.skeleton, {})
     program = ROOT / "gskin_addon" / "core" / "worker" / "process.py"
     done = subprocess.run(
-        [sys.executable, str(program), str(job)], stdin=subprocess.PIPE, capture_output=True, text=True, check=False
+        [sys.executable, str(program), str(job)], stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr
     assert_moves_as_the_truth(read_weights_file(job / "weights.npz").weights, limb)
