@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 
 from .operators import (
@@ -29,14 +31,16 @@ from .operators import (
     save_weights,
 )
 from .scene import follow_display, follow_transforms, handlers, helpers
-from .session import guidance_settings, properties
+from .session import guidance_settings, properties, running_job
 from .ui import job_presets as job_presets_menu
 from .ui import panel, preferences, splat_panels
 
-# Each has CLASSES, and register() and unregister() where there is more to do.
+# Each has CLASSES, HANDLERS (list of Blender, function) where it follows what happens, and register() and unregister()
+# where there is more to do.
 MODULES = (
     guidance_settings,
     properties,
+    running_job,
     preferences,
     check_python,
     install_runtime,
@@ -72,16 +76,31 @@ MODULES = (
 def register() -> None:
     """Register all classes, properties, menus and handlers."""
     for module in MODULES:
-        for cls in module.CLASSES:
-            bpy.utils.register_class(cls)
-        if hasattr(module, "register"):
-            module.register()
+        register_module(module)
 
 
 def unregister() -> None:
     """Take everything away again, last come first gone."""
     for module in reversed(MODULES):
-        if hasattr(module, "unregister"):
-            module.unregister()
-        for cls in reversed(module.CLASSES):
-            bpy.utils.unregister_class(cls)
+        unregister_module(module)
+
+
+def register_module(module: Any) -> None:
+    """Give Blender the classes and handlers of one of `MODULES`."""
+    for cls in module.CLASSES:
+        bpy.utils.register_class(cls)
+    for where, handler in getattr(module, "HANDLERS", ()):
+        where.append(handler)
+    if hasattr(module, "register"):
+        module.register()
+
+
+def unregister_module(module: Any) -> None:
+    """Undo `register_module`."""
+    if hasattr(module, "unregister"):
+        module.unregister()
+    for where, handler in getattr(module, "HANDLERS", ()):
+        if handler in where:
+            where.remove(handler)
+    for cls in reversed(module.CLASSES):
+        bpy.utils.unregister_class(cls)

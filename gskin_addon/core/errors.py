@@ -9,9 +9,9 @@ class GSkinError(Exception):
 
     exit_code = 1
 
-    def __init__(self, sentence: str = "", *, shell: str = "") -> None:
-        """sentence: for everybody; shell: what a command line's user can name besides, which `str` adds in brackets."""
-        super().__init__(f"{sentence.removesuffix('.')} ({shell})." if shell else sentence)
+    def __init__(self, sentence: str = "", *, terminal: str = "") -> None:
+        """sentence: for everybody; terminal: what a command line can name besides, which `str` adds in brackets."""
+        super().__init__(f"{sentence.removesuffix('.')} ({terminal})." if terminal else sentence)
         self.plain = sentence
         """What a window says: without flags and variables of the command line."""
 

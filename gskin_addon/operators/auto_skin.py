@@ -174,11 +174,3 @@ class GSKIN_OT_cancel_auto_skin(bpy.types.Operator):
 
 
 CLASSES = (GSKIN_OT_auto_skin, GSKIN_OT_cancel_auto_skin)
-
-
-def register() -> None:
-    running_job.register()
-
-
-def unregister() -> None:
-    running_job.unregister()

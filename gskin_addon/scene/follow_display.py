@@ -45,15 +45,4 @@ def forget(*_: object) -> None:
     _known.clear()
 
 
-_HANDLERS = ((bpy.app.handlers.depsgraph_update_post, follow), (bpy.app.handlers.load_post, forget))
-
-
-def register() -> None:
-    for where, handler in _HANDLERS:
-        where.append(handler)
-
-
-def unregister() -> None:
-    for where, handler in _HANDLERS:
-        if handler in where:
-            where.remove(handler)
+HANDLERS = ((bpy.app.handlers.depsgraph_update_post, follow), (bpy.app.handlers.load_post, forget))

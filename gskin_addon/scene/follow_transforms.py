@@ -98,20 +98,9 @@ def _correct(objects: list[bpy.types.Object]) -> None:
         _busy = False
 
 
-_HANDLERS = (
+HANDLERS = (
     (bpy.app.handlers.depsgraph_update_post, follow),
     (bpy.app.handlers.undo_post, follow_all),
     (bpy.app.handlers.redo_post, follow_all),
     (bpy.app.handlers.load_post, follow_all),
 )
-
-
-def register() -> None:
-    for where, handler in _HANDLERS:
-        where.append(handler)
-
-
-def unregister() -> None:
-    for where, handler in _HANDLERS:
-        if handler in where:
-            where.remove(handler)

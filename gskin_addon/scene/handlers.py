@@ -153,7 +153,7 @@ def _guarded(work: Callable[[bpy.types.Object], object], obj: bpy.types.Object) 
         print(f"gskin: {error}")
 
 
-_HANDLERS = (
+HANDLERS = (
     (bpy.app.handlers.depsgraph_update_post, follow_edits),
     (bpy.app.handlers.save_pre, take_over_paint),
     (bpy.app.handlers.load_post, forget),
@@ -162,15 +162,7 @@ _HANDLERS = (
 )
 
 
-def register() -> None:
-    for where, handler in _HANDLERS:
-        where.append(handler)
-
-
 def unregister() -> None:
-    for where, handler in _HANDLERS:
-        if handler in where:
-            where.remove(handler)
     if bpy.app.timers.is_registered(_go_on):
         bpy.app.timers.unregister(_go_on)
     forget()

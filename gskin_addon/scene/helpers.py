@@ -7,8 +7,6 @@ Appending and pasting link it to the scene all the same, visible and selected; t
 
 from __future__ import annotations
 
-from typing import Any
-
 import bpy
 from bpy.app.handlers import persistent
 
@@ -42,15 +40,5 @@ def put_away(*_: object) -> None:
                 collection.objects.unlink(obj)
 
 
-def _handlers() -> list[Any]:
-    # Blender 4.2 has no handler of its own for appending.
-    return getattr(bpy.app.handlers, "blend_import_post", bpy.app.handlers.depsgraph_update_post)
-
-
-def register() -> None:
-    _handlers().append(put_away)
-
-
-def unregister() -> None:
-    if put_away in _handlers():
-        _handlers().remove(put_away)
+# Blender 4.2 has no handler of its own for appending.
+HANDLERS = ((getattr(bpy.app.handlers, "blend_import_post", bpy.app.handlers.depsgraph_update_post), put_away),)

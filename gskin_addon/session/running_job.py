@@ -51,11 +51,9 @@ def forget_outcome(*_: object) -> None:
         end("")
 
 
-def register() -> None:
-    bpy.app.handlers.load_post.append(forget_outcome)
+CLASSES = ()
+HANDLERS = ((bpy.app.handlers.load_post, forget_outcome),)
 
 
 def unregister() -> None:
     stop()
-    if forget_outcome in bpy.app.handlers.load_post:
-        bpy.app.handlers.load_post.remove(forget_outcome)

@@ -10,6 +10,7 @@ import splat_clouds as clouds
 
 bpy = pytest.importorskip("bpy")
 
+from gskin_addon import registration
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.rig.lbs import sparsify, top_influences
 from gskin_addon.scene import handlers, influences, names, weights
@@ -371,14 +372,14 @@ def painted(rig, monkeypatch):
     monkeypatch.setattr(handlers, "_watched", lambda: True)
     monkeypatch.setattr(handlers, "BUDGET", 0.0)
     monkeypatch.setattr(influences, "CELLS", 64 * BONES)
-    handlers.register()
+    registration.register_module(handlers)
     bpy.context.view_layer.objects.active = obj
     bpy.ops.object.mode_set(mode="WEIGHT_PAINT")
     paint(obj)
     bpy.ops.object.mode_set(mode="OBJECT")
     bpy.context.view_layer.update()
     yield obj
-    handlers.unregister()
+    registration.unregister_module(handlers)
 
 
 def paint(obj, bone="bone.001", amount=0.9):

@@ -16,7 +16,7 @@ from gskin_addon.core.worker.client import WorkerClient, WorkerError
 
 
 def test_what_the_command_line_adds_stands_in_brackets():
-    error = InputError("The rod is bent; straighten it.", shell="--straight")
+    error = InputError("The rod is bent; straighten it.", terminal="--straight")
     assert str(error) == "The rod is bent; straighten it (--straight)."
     assert error.plain == "The rod is bent; straighten it."
     assert GSkinError("As it is.").plain == str(GSkinError("As it is.")) == "As it is."

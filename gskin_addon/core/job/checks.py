@@ -103,13 +103,13 @@ def check_overlap(points: NDArray[Any], skeleton: Skeleton, splats: str, armatur
             f"{armature} does not overlap {_inner(splats)}: only {here:.0%} of its bones lie within them; "
             f"with {best.upper()} up it would be {there:.0%}, "
             f"so import the splats with Up set to {best.upper()}.",
-            shell=f"--ply-up={best}",
+            terminal=f"--ply-up={best}",
         )
     if here < APART:
         raise InputError(
             f"{armature} does not overlap {_inner(splats)}: only {here:.0%} of its bones lie within them; "
             "move or scale the armature onto the splats, or import the splats with another Up axis.",
-            shell="--ply-up=z, y or -y",
+            terminal="--ply-up=z, y or -y",
         )
 
 

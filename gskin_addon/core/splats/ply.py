@@ -71,7 +71,7 @@ def read_ply(path: str | os.PathLike[str], *, drop_invalid: bool = False) -> Ply
         raise InputError(
             f"{path}: {bad} of {total} splats have {_INVALID}; "
             "read it with Drop Invalid Splats to leave them out.",
-            shell="drop_invalid=True, --drop-invalid",
+            terminal="drop_invalid=True, --drop-invalid",
         )
     if bad:
         return PlySplats(cloud.select(valid), np.flatnonzero(valid), total)

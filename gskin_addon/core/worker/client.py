@@ -108,7 +108,7 @@ class WorkerClient:
             raise InputError(
                 f"The worker's interpreter '{self.python}' cannot be started ({error.strerror}); "
                 "name a Python that has torch in the add-on's preferences.",
-                shell=f"or {VARIABLE}",
+                terminal=f"or {VARIABLE}",
             ) from error
         if self._gentle and hasattr(os, "setpriority"):
             # What the worker starts later inherits this.
@@ -219,7 +219,7 @@ class WorkerClient:
         return GSkinError(
             f"The worker '{self.python}' ended without a result (exit code {code}): {last}"[:400]
             + " - check the interpreter in the add-on's preferences.",
-            shell=f"or {VARIABLE}",
+            terminal=f"or {VARIABLE}",
         )
 
     def _read_lines(self, process: subprocess.Popen[bytes], log: threading.Thread) -> None:

@@ -101,7 +101,7 @@ def check_modules(modules: tuple[str, ...] = MODULES) -> None:
             f"The worker's interpreter '{sys.executable}' lacks {' and '.join(missing)}; install "
             f"with: {sys.executable} -m pip install {' '.join(missing)}"
             " - or name another interpreter in the add-on's preferences.",
-            shell="or GSKIN_PYTHON",
+            terminal="or GSKIN_PYTHON",
         )
 
 

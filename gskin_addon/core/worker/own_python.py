@@ -42,10 +42,11 @@ def job_python(needs_runtime: bool, preference: str = "") -> Path:
     if python is None:
         if not needs_runtime:
             raise InputError(
-                "No Python was found to run the job in; name one in the add-on's preferences.", shell=f"or {VARIABLE}"
+                "No Python was found to run the job in; name one in the add-on's preferences.",
+                terminal=f"or {VARIABLE}",
             )
         raise InputError(
             "No Python with torch was found, which guidance needs; name one in the add-on's preferences.",
-            shell=f"--python or {VARIABLE}; pip install 'gskin_addon[worker]' makes one",
+            terminal=f"--python or {VARIABLE}; gskin runtime install makes one",
         )
     return python

@@ -82,3 +82,19 @@ def test_what_is_missing_is_named(tmp_path):
     settings = {**ELASTIC, "mesh": write_mesh(tmp_path, verts, faces)}
     with pytest.raises(InputError, match="leave the scope"):
         job(tmp_path, limb, Scope(noisy(limb.weights)), settings)
+
+
+@pytest.mark.parametrize("settings", [{}, ELASTIC])
+def test_walls_keep_what_touches_apart(tmp_path, settings):
+    limb = make_limb(900)
+    walls = np.where(limb.cloud.means[:, 0] < 1.5, 1, 2)  # across the middle bone
+    settings = {**settings, "max_influences": 0}
+    checkpoint = tmp_path / "free" / "checkpoint"
+    checkpoint.mkdir(parents=True)
+    free = run(limb.cloud, limb.skeleton, settings, silent, checkpoint)
+    walled = job(tmp_path, limb, Scope(walls=walls), settings)
+    # Beyond the wall the first bone is out of reach.
+    beyond = walls == 2
+    assert walled.weights[beyond, 0].max() < free.weights[beyond, 0].max()
+    assert np.abs(walled.weights - free.weights).sum(axis=1).max() > 0.05
+    np.testing.assert_allclose(walled.weights.sum(axis=1), 1, atol=1e-5)
