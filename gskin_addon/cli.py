@@ -12,6 +12,7 @@ import contextlib
 import importlib
 import importlib.util
 import os
+import shutil
 import signal
 import sys
 import traceback
@@ -105,13 +106,16 @@ def _whole_process(run: Callable[[], int]) -> int:
     """Run what is all that this process does, and see that it ends.
 
     bpy 4.5 as a module waits for ever in its destructors after a glTF export: they destroy what a thread of its own
-    still waits for. So the process ends before them, after Python's own exit, where bpy tidies up.
+    still waits for. There the process ends before them, and takes along the folder that Blender would have removed.
     """
     code = 1
 
     def leave() -> None:
         bpy = sys.modules.get("bpy")
-        if bpy is not None and not bpy.app.binary_path:
+        if bpy is not None and not bpy.app.binary_path and bpy.app.version < (5, 0, 0):
+            session = Path(bpy.app.tempdir)
+            if session.name.startswith("blender_"):
+                shutil.rmtree(session, ignore_errors=True)
             for stream in (sys.stdout, sys.stderr):
                 with contextlib.suppress(OSError, ValueError):
                     stream.flush()
