@@ -7,17 +7,25 @@ Exit codes: 0 done, 2 bad input, 1 failure, 130 cancelled. Errors are one senten
 from __future__ import annotations
 
 import argparse
+import atexit
 import contextlib
 import importlib
 import importlib.util
+import os
+import shutil
 import signal
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
 CANCELLED = 130
+
+
+def program() -> NoReturn:
+    """Entry of the program `gskin`: one command, then the end of the process."""
+    sys.exit(_whole_process(main))
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -94,6 +102,31 @@ def _sentence(error: BaseException) -> str:
     return text[:1].upper() + text[1:]
 
 
+def _whole_process(run: Callable[[], int]) -> int:
+    """Run what is all that this process does, and see that it ends.
+
+    bpy 4.5 as a module waits for ever in its destructors after a glTF export: they destroy what a thread of its own
+    still waits for. There the process ends before them, and takes along the folder that Blender would have removed.
+    """
+    code = 1
+
+    def leave() -> None:
+        bpy = sys.modules.get("bpy")
+        if bpy is not None and not bpy.app.binary_path and bpy.app.version < (5, 0, 0):
+            session = Path(bpy.app.tempdir)
+            if session.name.startswith("blender_"):
+                shutil.rmtree(session, ignore_errors=True)
+            for stream in (sys.stdout, sys.stderr):
+                with contextlib.suppress(OSError, ValueError):
+                    stream.flush()
+            os._exit(code)
+
+    # Functions that are registered first run last: after bpy's.
+    atexit.register(leave)
+    code = run()
+    return code
+
+
 def _started_as_file() -> int:
     """Entry when this file itself was started: load the package around it, by its path."""
     root = Path(__file__).resolve().parent
@@ -118,4 +151,4 @@ def _started_as_file() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(_started_as_file())
+    sys.exit(_whole_process(_started_as_file))

@@ -77,9 +77,9 @@ def test_rig_and_pose_from_the_command_line(tmp_path, monkeypatch):
 
 
 def gskin(folder: Path, *arguments: str) -> None:
-    """The command line in a Python of its own."""
+    """The command line in a Python of its own, which must also end: bpy 4.5 as a module likes to wait for ever."""
     command = [sys.executable, "-m", "gskin_addon.cli", *arguments]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, timeout=240)
     assert done.returncode == 0, done.stderr
 
 
