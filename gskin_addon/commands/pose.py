@@ -7,7 +7,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from ..core.errors import InputError
-from ..core.splats.ply import write_ply
+from ..core.splats.formats import write_splats
 from .blender import require_bpy
 from .console import print_message
 from .paths import check_output, same_file
@@ -26,7 +26,7 @@ def run(options: argparse.Namespace) -> None:
     from ..scene.posing import posed_cloud
 
     if options.out.suffix.lower() == ".ply":
-        write_ply(options.out, posed_cloud(obj))
+        write_splats(options.out, posed_cloud(obj))
     elif options.out.suffix.lower() == ".glb":
         from ..scene.gltf_export import export_glb
 

@@ -21,10 +21,10 @@ from ..core.job.progress import ProgressEvent
 from ..core.job.progress_text import ProgressPrinter
 from ..core.job.settings import JobSettings
 from ..core.job.up_axis import resolve_up
+from ..core.splats import formats
 from ..core.splats.axes import rotate_cloud, up_rotation
 from ..core.splats.cleanup import clamp_aspect, find_faint_giants, find_strays, isotropic
 from ..core.splats.cloud import SplatCloud
-from ..core.splats.ply import read_ply
 from ..core.worker.own_python import job_python
 from .blender import require_bpy
 from .console import print_message
@@ -105,12 +105,8 @@ def run(options: argparse.Namespace) -> None:
 
 
 def read_splats(path: Path, drop_invalid: bool) -> SplatCloud:
-    """The splats of a .ply with the file's own axes; says how many were dropped."""
-    if path.suffix.lower() != ".ply":
-        raise InputError(f"'{path}' is no .ply file; export the splats as a Gaussian splat .ply.")
-    if not path.is_file():
-        raise InputError(f"'{path}' does not exist; check the path of the splats.")
-    splats = read_ply(path, drop_invalid=drop_invalid)
+    """The splats of a file with its own axes; says how many were dropped."""
+    splats = formats.read_splats(path, drop_invalid=drop_invalid)
     dropped = splats.total - splats.cloud.count
     if dropped:
         print_message(f"'{path}': {dropped:,} invalid splats of {splats.total:,} were left out.")

@@ -14,7 +14,7 @@ from ..core.job.up_axis import resolve_up
 from ..core.rig.skeleton import Skeleton
 from ..core.splats.axes import rotate_cloud, up_rotation
 from ..core.splats.cloud import SplatCloud
-from ..core.splats.ply import read_ply
+from ..core.splats.formats import SUFFIXES, read_splats
 from ..scene import names, views
 from ..scene.armature import read_skeleton
 from ..scene.placement import fits_where_it_is, place_on_floor
@@ -34,7 +34,7 @@ class GSKIN_OT_import_splats(bpy.types.Operator, ImportHelper):
     filename_ext = ".ply"
     if TYPE_CHECKING:
         filepath: str  # ImportHelper's
-    filter_glob: bpy.props.StringProperty(default="*.ply", options={"HIDDEN"})
+    filter_glob: bpy.props.StringProperty(default=";".join(f"*{suffix}" for suffix in SUFFIXES), options={"HIDDEN"})
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
     files: bpy.props.CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
     up: bpy.props.EnumProperty(
@@ -100,7 +100,7 @@ class GSKIN_OT_import_splats(bpy.types.Operator, ImportHelper):
         return {"FINISHED"}
 
     def _import(self, context: bpy.types.Context, path: Path, armature: bpy.types.Object | None) -> bpy.types.Object:
-        splats = read_ply(path, drop_invalid=self.drop_invalid)
+        splats = read_splats(path, drop_invalid=self.drop_invalid)
         skeleton = _skeleton(armature)
         up, assumed = resolve_up(self.up, splats.cloud, skeleton)
         cloud = rotate_cloud(splats.cloud, up_rotation(up))
@@ -127,7 +127,7 @@ class GSKIN_FH_splats(bpy.types.FileHandler):
     bl_idname = "GSKIN_FH_splats"
     bl_label = "Gaussian Splats"
     bl_import_operator = GSKIN_OT_import_splats.bl_idname
-    bl_file_extensions = ".ply"
+    bl_file_extensions = ";".join(SUFFIXES)
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
