@@ -72,7 +72,7 @@ def alone(lock: Path) -> Iterator[None]:
 def _make(version: str, python: str, venv: Path) -> Path:
     packages = [f"bpy=={version}.*", *PACKAGES]
     stamp, own = venv / "gskin-setup.sha256", make_venv.venv_python(venv)
-    state = hashlib.sha256(repr((packages, python, str(venv))).encode()).hexdigest()
+    state = hashlib.sha256(repr((packages, python, str(venv), str(ROOT))).encode()).hexdigest()
     if stamp.is_file() and stamp.read_text() == state:
         return own
     say(f"making {venv} with {python}", sys.stderr)
@@ -80,7 +80,12 @@ def _make(version: str, python: str, venv: Path) -> Path:
         raise Missing(f"The environment {venv} could not be made: install the venv package of {python}.")
     if subprocess.call([str(own), "-m", "pip", "install", "--no-input", "--quiet", *packages]) != 0:
         raise Missing(f"pip could not install {' '.join(packages)}: its last lines above say why.")
-    if subprocess.call([str(own), "-c", "import bpy"]) != 0:
+    # The project as an editable install has it: workers are started without PYTHONPATH.
+    where = subprocess.check_output(
+        [str(own), "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"], text=True
+    ).strip()
+    (Path(where) / "gskin_addon.pth").write_text(f"{ROOT}\n")
+    if subprocess.call([str(own), "-c", "import bpy, gskin_addon"]) != 0:
         raise Missing(f"bpy {version} was installed but does not import; the lines above say why.")
     stamp.write_text(state)
     return own
