@@ -20,16 +20,16 @@ BONES = 20
 ROUNDS = 10
 
 
-def rigged(count: int) -> tuple[bpy.types.Object, bpy.types.Object]:
+def rigged(count: int, bones: int = BONES) -> tuple[bpy.types.Object, bpy.types.Object]:
     """`count` mostly opaque splats on a chain of bones."""
     rng = np.random.default_rng(0)
     armature = bpy.data.objects.new("Rig", bpy.data.armatures.new("Rig"))
     bpy.context.scene.collection.objects.link(armature)
     bpy.context.view_layer.objects.active = armature
     bpy.ops.object.mode_set(mode="EDIT")
-    for index in range(BONES):
+    for index in range(bones):
         bone = armature.data.edit_bones.new(f"bone.{index:02d}")
-        bone.head, bone.tail = (0, 0, index / 10), (0, 0, (index + 1) / 10)
+        bone.head, bone.tail = (0, 0, 2 * index / bones), (0, 0, 2 * (index + 1) / bones)
     bpy.ops.object.mode_set(mode="OBJECT")
     quats = rng.normal(size=(count, 4))
     cloud = SplatCloud(
@@ -40,7 +40,7 @@ def rigged(count: int) -> tuple[bpy.types.Object, bpy.types.Object]:
         sh=rng.normal(size=(count, 1, 3)).astype(np.float32),
     )
     obj = create_splat_object(cloud, "Splats")
-    near = np.exp(-20 * np.abs(cloud.means[:, 2:] - (np.arange(BONES) + 0.5) / 10))
+    near = np.exp(-bones * np.abs(cloud.means[:, 2:] - 2 * (np.arange(bones) + 0.5) / bones))
     write_weights(obj, armature, near / near.sum(axis=1, keepdims=True))
     return obj, armature
 

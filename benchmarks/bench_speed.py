@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from statistics import median
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
@@ -201,6 +202,21 @@ def large_bars(repeats: int) -> Iterator[Bar]:
     yield Bar("large_draft_seconds", _middle(costs, lambda c: c.wall), None, core)
 
 
+def scene_bars(repeats: int) -> Iterator[Bar]:
+    """What Blender takes; all in processor time."""
+    from benchmarks import bench_scene  # bpy only where it is asked for
+
+    imports = [bench_scene.import_seconds() for _ in range(repeats)]
+    rigs = [bench_scene.rig_costs() for _ in range(repeats)]
+    panels = [bench_scene.panel_seconds() for _ in range(repeats)]
+    yield Bar("scene_import_seconds", median(imports), 1.0)
+    yield Bar("scene_write_weights_seconds", median([rig[0] for rig in rigs]), 2.0)
+    yield Bar("scene_pose_seconds", median([rig[1] for rig in rigs]), 0.06)
+    yield Bar("scene_display_over_rig", median([rig[2] for rig in rigs]), 3.0)
+    yield Bar("scene_check_list_ms", 1000 * median([panel[0] for panel in panels]), 10)
+    yield Bar("scene_runtime_look_ms", 1000 * median([panel[1] for panel in panels]), 20)
+
+
 def response_bars(repeats: int) -> Iterator[Bar]:
     """What a person waits for in the window; of the calls that must never wait, and of cancelling, the slowest."""
     yield Bar("response_read_seconds", bench_response.read_seconds(repeats), 0.8)
@@ -228,6 +244,7 @@ BARS: dict[str, Callable[[int], Iterator[Bar | str]]] = {
     "iteration": iteration_bars,
     "rasterizer": rasterizer_bars,
     "response": response_bars,
+    "scene": scene_bars,
     "default": default_bars,
     "standard": standard_bars,
     "large": large_bars,

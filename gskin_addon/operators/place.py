@@ -12,6 +12,7 @@ from mathutils import Vector
 from ..core.errors import GSkinError
 from ..scene import views
 from ..scene.placement import is_placed, offset_of, place_on_floor, turn_up, undo_placement, up_of
+from ..scene.rig_fit import topmost
 from ..session.chosen import chosen_armature, chosen_splats
 
 # A mix-in at run time: Blender would register a base class that is an operator itself.
@@ -75,12 +76,7 @@ class GSKIN_OT_place_on_floor(_OnSplats, bpy.types.Operator):
         return self._try(place_on_floor, chosen_splats(context))
 
 
-class GSKIN_OT_undo_placement(_OnSplats, bpy.types.Operator):
-    """Move the splats back to where their file has them, as a rig made for the file needs them"""
-
-    bl_idname = "gskin.undo_placement"
-    bl_label = "Undo Placement"
-
+class _OnPlacedSplats(_OnSplats):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         if not super().poll(context):
@@ -90,11 +86,18 @@ class GSKIN_OT_undo_placement(_OnSplats, bpy.types.Operator):
             return False
         return True
 
+
+class GSKIN_OT_undo_placement(_OnPlacedSplats, bpy.types.Operator):
+    """Move the splats back to where their file has them, as a rig made for the file needs them"""
+
+    bl_idname = "gskin.undo_placement"
+    bl_label = "Undo Placement"
+
     def execute(self, context: bpy.types.Context) -> set[str]:
         return self._try(undo_placement, chosen_splats(context))
 
 
-class GSKIN_OT_move_rig_to_splats(_OnSplats, bpy.types.Operator):
+class GSKIN_OT_move_rig_to_splats(_OnPlacedSplats, bpy.types.Operator):
     """Move an armature that was made for the file's coordinates by as much as the splats were moved at import"""
 
     bl_idname = "gskin.move_rig_to_splats"
@@ -104,18 +107,13 @@ class GSKIN_OT_move_rig_to_splats(_OnSplats, bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         if not super().poll(context):
             return False
-        if not is_placed(chosen_splats(context)):
-            cls.poll_message_set("The splats are where their file has them")
-            return False
         if chosen_armature(context) is None:
             cls.poll_message_set("No armature is chosen")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        top = chosen_armature(context)
-        while top.parent is not None:
-            top = top.parent
+        top = topmost(chosen_armature(context))
         top.location = top.location + Vector(offset_of(chosen_splats(context)).tolist())
         return {"FINISHED"}
 

@@ -228,15 +228,6 @@ def iter_update_rotation_weights(obj: bpy.types.Object) -> Steps[None]:
     write_influences(obj, bone_order(frames), bones, index, value)
 
 
-def repair_frames(obj: bpy.types.Object) -> bool:
-    """After a copy of splats and armature: let the copy's rotation follow its own armature. True if it was needed."""
-    if not follows_foreign_frames(obj):
-        return False
-    if not repoint_frames(obj):
-        update_rotation_weights(obj)
-    return True
-
-
 def follows_foreign_frames(obj: bpy.types.Object) -> bool:
     """Whether one armature moves the splats and another one turns them."""
     armature, frames = armature_of(obj), frames_of(obj)

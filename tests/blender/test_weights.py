@@ -22,8 +22,9 @@ from gskin_addon.scene.rotation_nodes import frames_of
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud
 from gskin_addon.scene.weights import (
     bind,
+    follows_foreign_frames,
     read_weights,
-    repair_frames,
+    repoint_frames,
     update_rotation_weights,
     write_weights,
 )
@@ -209,6 +210,15 @@ def test_a_copy_of_the_splats_follows_too(rig, rng):
     rigs.random_pose(armature, rng)
     rigs.assert_same_pose(copy, armature)
     rigs.assert_same_pose(obj, armature)
+
+
+def repair_frames(obj):
+    """What follows a copy of splats and armature by itself, at once. True if it was needed."""
+    if not follows_foreign_frames(obj):
+        return False
+    if not repoint_frames(obj):
+        update_rotation_weights(obj)
+    return True
 
 
 def test_a_copy_with_its_own_armature_is_repaired(rig, rng):

@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from gskin_addon.core.files import write_arrays
 from gskin_addon.core.job.contract import write_job
+from gskin_addon.core.job.scope import Scope, scope_file
 from gskin_addon.core.rig.skeleton import Skeleton
 from gskin_addon.core.splats.cloud import SplatCloud
 
@@ -36,3 +38,10 @@ def make_job(folder: Path, **settings: Any) -> Path:
     """A rod as a job in `folder`; `act` is for fake_worker.py."""
     cloud, skeleton = rod()
     return write_job(folder, cloud, skeleton, settings)
+
+
+def write_scope(folder: Path, scope: Scope) -> str:
+    """A scope beside a job, as `prepare_job` writes it; returns its name, the setting `scope`."""
+    name, arrays = scope_file(scope)
+    write_arrays(folder / name, arrays)
+    return name

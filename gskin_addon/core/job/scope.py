@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
-from ..files import read_arrays, write_arrays
+from ..files import read_arrays
 
 Array = NDArray[Any]
 
@@ -90,22 +90,6 @@ def scope_file(scope: Scope) -> tuple[str, dict[str, Array]]:
         digest.update(str((array.shape, array.dtype)).encode())
         digest.update(np.ascontiguousarray(array).tobytes())
     return f"scope-{digest.hexdigest()}.npz", arrays
-
-
-def scope_name(scope: Scope) -> str:
-    """The name of `scope_file`."""
-    return scope_file(scope)[0]
-
-
-def write_scope(folder: Path, scope: Scope) -> str:
-    """Write a scope into a job's folder; returns its `scope_name`.
-
-    Raises:
-        GSkinError: the folder cannot be written.
-    """
-    name, arrays = scope_file(scope)
-    write_arrays(folder / name, arrays)
-    return name
 
 
 def read_scope(path: Path, splats: int, bones: int) -> Scope:

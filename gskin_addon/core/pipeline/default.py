@@ -13,8 +13,8 @@ from .steps import (
     initial_weights,
     job_report,
     learning_subset,
-    masks_for,
     prepare_splats,
+    rest_pictures,
     weight_change,
 )
 from .work_kinds import default_kinds
@@ -28,7 +28,7 @@ def run(job: JobInputs, report: Report) -> SkinResult:
     masks, cameras = None, []
     if needs_masks(job.settings.init):
         cameras = guidance_cameras(job, splats.cloud)
-        masks = masks_for(job.settings.init, learning_subset(job, splats, cameras).cloud, cameras)
+        _, masks = rest_pictures(learning_subset(job, splats, cameras).cloud, cameras)
     eta.record("splats")
     initial, confidence = initial_weights(job, splats, masks, cameras, eta)
     eta.record_up_to("initial", 1.0)

@@ -19,7 +19,7 @@ from ..render.camera import Camera, paper_views, percentile_bounds
 from ..rig.lbs import sparsify
 from ..rig.skeleton import Skeleton
 from ..skinning.extent import unit_frame
-from ..skinning.initial import PRESENT, initial_with_confidence, needs_masks
+from ..skinning.initial import PRESENT, initial_with_confidence
 from ..skinning.subset import SplatSubset, follow_nearest
 from ..splats.cleanup import Cleanup
 from ..splats.cloud import SplatCloud
@@ -217,11 +217,6 @@ def job_report(
     if confidence is not None:
         report["mean_confidence"] = float(confidence.mean())
     return report
-
-
-def masks_for(init: str, cloud: SplatCloud, cameras: Sequence[Camera]) -> NDArray[np.bool_] | None:
-    """Masks of the object at rest, for initial weights that need them."""
-    return rest_pictures(cloud, cameras)[1] if needs_masks(init) else None
 
 
 def _seen_at_rest(cloud: SplatCloud, cameras: Sequence[Camera]) -> NDArray[np.bool_]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import sys
+import sysconfig
 from pathlib import Path
 
 from ..errors import InputError
@@ -14,11 +15,13 @@ from .interpreter import VARIABLE, find_worker_python
 def own_python() -> Path | None:
     """The interpreter behind this process: `sys.executable`, which Blender sets to its own Python; where a packaged
     Blender leaves it empty or names itself, the one in the folders that Python says it lives in."""
-    name = f"python{sys.version_info[0]}.{sys.version_info[1]}"
+    version = f"{sys.version_info[0]}.{sys.version_info[1]}"
+    prefixes = dict.fromkeys((sys.prefix, sys.exec_prefix, sys.base_prefix))
+    folders = [folder for prefix in prefixes for folder in (os.path.join(prefix, "bin"), prefix)]
+    folders.append(sysconfig.get_path("scripts"))
+    names = (f"python{version}", "python3", "python", "python.exe")
     places = [sys.executable, getattr(sys, "_base_executable", "")]
-    for prefix in dict.fromkeys((sys.prefix, sys.exec_prefix, sys.base_prefix)):
-        places += [os.path.join(prefix, "bin", name), os.path.join(prefix, "bin", "python3")]
-        places += [os.path.join(prefix, "python.exe"), os.path.join(prefix, "bin", "python.exe")]
+    places += [os.path.join(folder, name) for folder in folders for name in names]
     for place in places:
         path = Path(place)
         if place and path.name.lower().startswith("python") and os.access(path, os.X_OK) and path.is_file():

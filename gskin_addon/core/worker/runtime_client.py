@@ -9,8 +9,6 @@ import os
 import queue
 import signal
 import subprocess
-import sys
-import sysconfig
 import threading
 import time
 from collections import deque
@@ -21,6 +19,7 @@ from typing import Any, Literal
 from ..errors import Cancelled, GSkinError, InputError
 from ..job.progress import ProgressEvent
 from .interpreter import worker_environment
+from .own_python import own_python
 from .runtime_choice import Choice
 
 PROGRAM = Path(__file__).with_name("runtime_setup.py")
@@ -169,14 +168,9 @@ class RuntimeClient:
 
 def base_python() -> str:
     """The interpreter that makes the environment: this one's program. Blender's own sets sys.executable to it."""
-    if sys.executable and "python" in Path(sys.executable).name.lower():
-        return sys.executable
-    version = f"{sys.version_info[0]}.{sys.version_info[1]}"
-    folders = (Path(sys.base_prefix), Path(sys.base_prefix) / "bin", Path(sysconfig.get_path("scripts")))
-    for folder in folders:
-        for name in ("python.exe", f"python{version}", "python3", "python"):
-            if (folder / name).is_file():
-                return str(folder / name)
+    own = own_python()
+    if own is not None:
+        return str(own)
     raise InputError(
         "Blender's own Python program was not found; make an environment yourself and name it under Python with torch."
     )

@@ -3,9 +3,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from worker_jobs import write_scope
 
 from gskin_addon.core.errors import InputError
-from gskin_addon.core.job.scope import Scope, read_scope, scope_name, write_scope
+from gskin_addon.core.job.scope import Scope, read_scope, scope_file
 
 
 def present(rows=5, bones=2):
@@ -26,7 +27,7 @@ def test_a_scope_comes_back_as_it_was(tmp_path):
 
 
 def test_another_scope_has_another_name():
-    names = {scope_name(scope) for scope in (
+    names = {scope_file(scope)[0] for scope in (
         Scope(present()), Scope(present(), np.array([1])), Scope(present(), np.array([2])),
         Scope(walls=np.array([1, 2])), Scope(only=np.array([1, 2])),
     )}  # fmt: skip

@@ -6,10 +6,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from proxy_meshes import tube
+from worker_jobs import write_scope
 
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.job.mesh_files import write_mesh
-from gskin_addon.core.job.scope import Scope, write_scope
+from gskin_addon.core.job.scope import Scope
 from gskin_addon.core.pipeline import steps
 from gskin_addon.core.pipeline.run import run
 from gskin_addon.core.skinning import presets

@@ -472,7 +472,7 @@ def test_a_python_without_numpy_says_so(tmp_path):
 
 def test_the_base_is_a_python_and_not_blender(monkeypatch):
     assert runtime_client.base_python() == sys.executable
-    monkeypatch.setattr(runtime_client.sys, "executable", "/opt/blender/blender")
+    monkeypatch.setattr(sys, "executable", "/opt/blender/blender")
     assert "python" in Path(runtime_client.base_python()).name
     client = RuntimeClient("install", Path("x"), CPU, "/no/python")
     with pytest.raises(InputError, match="cannot be started"):

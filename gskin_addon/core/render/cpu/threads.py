@@ -15,15 +15,15 @@ from typing import Any
 
 import numpy as np
 
+from ...ticks import cores
+
 
 def thread_count() -> int:
     """Threads to use: NUMBA_NUM_THREADS if set, else the cores this process may run on."""
     asked = os.environ.get("NUMBA_NUM_THREADS", "")
     if asked.isdigit() and int(asked) > 0:
         return int(asked)
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return cores()
 
 
 @lru_cache(maxsize=1)
