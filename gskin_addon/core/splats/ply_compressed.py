@@ -9,6 +9,7 @@ f_rest value.
 from __future__ import annotations
 
 import os
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -40,7 +41,9 @@ def is_compressed(header: Header) -> bool:
     )
 
 
-def read_compressed(file: BinaryIO, header: Header, path: Path) -> tuple[SplatCloud, NDArray[np.bool_]]:
+def read_compressed(
+    file: BinaryIO, header: Header, path: Path
+) -> Generator[float, None, tuple[SplatCloud, NDArray[np.bool_]]]:
     """All splats, and True (N,) where a splat is valid; InputError where the file is damaged."""
     if header.format != "binary_little_endian":
         raise InputError(
@@ -65,6 +68,7 @@ def read_compressed(file: BinaryIO, header: Header, path: Path) -> tuple[SplatCl
         valid[rows] = _decode(tables["vertex"][rows], ranges[block], cloud, rows)
         if sh is not None:
             _decode_sh(tables["sh"][rows], cloud, rows, rest)
+        yield rows.stop / vertex.count
     return cloud, valid
 
 
