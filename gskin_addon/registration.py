@@ -30,7 +30,7 @@ from .operators import (
     repair_runtime,
     save_weights,
 )
-from .scene import follow_display, follow_transforms, handlers, helpers
+from .scene import follow_display, follow_transforms, handlers, helpers, webp_images
 from .session import guidance_settings, properties, running_job
 from .ui import job_presets as job_presets_menu
 from .ui import panel, preferences, splat_panels
@@ -38,6 +38,7 @@ from .ui import panel, preferences, splat_panels
 # Each has CLASSES, HANDLERS (list of Blender, function) where it follows what happens, and register() and unregister()
 # where there is more to do.
 MODULES = (
+    webp_images,
     guidance_settings,
     properties,
     running_job,

@@ -13,6 +13,9 @@ from .axes import rotate_cloud, up_rotation
 from .cloud import SplatCloud
 from .loaded import LoadedSplats, Reading
 from .ply import read_ply_pieces, write_ply
+from .sog import MAGIC as ZIP
+from .sog import META, read_sog
+from .sog_write import write_sog
 from .splat import read_splat, write_splat
 from .spz import MAGIC as SPZ
 from .spz import read_spz, write_spz
@@ -40,6 +43,7 @@ FORMATS: dict[str, SplatFormat] = {
     "ply": SplatFormat((".ply",), (b"ply\n", b"ply\r"), read_ply_pieces, write_ply),
     "splat": SplatFormat((".splat",), (), read_splat, write_splat),
     "spz": SplatFormat((".spz",), (SPZ, b"\x1f\x8b"), read_spz, write_spz, "y"),
+    "sog": SplatFormat((".sog",), (ZIP,), read_sog, write_sog),
 }
 """By name; another format is one file beside `ply.py` and one entry here."""
 
@@ -70,7 +74,7 @@ def write_splats(path: Path, cloud: SplatCloud, *, up: str = "z") -> None:
     Raises:
         InputError: an unknown suffix. GSkinError: the file cannot be written; what was there stays.
     """
-    form = named_format(path)
+    form = FORMATS["sog"] if path.name.lower() == META else named_format(path)
     if form is None:
         raise InputError(f"'{path}' is no {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]} file; choose another name.")
     if cloud.count == 0:
@@ -89,6 +93,8 @@ def named_format(path: Path) -> SplatFormat | None:
 
 def find_format(path: Path) -> SplatFormat:
     """The format of a file that is there, by its first bytes, else by its name. Raises InputError for others."""
+    if (path / META).is_file() or (path.name.lower() == META and path.is_file()):
+        return FORMATS["sog"]
     start = b""
     if path.is_file():
         try:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..files import write_atomically
-from .cloud import SH_C0, SplatCloud
+from .cloud import SH_C0, Floats, SplatCloud
 from .loaded import Reading, cut_off, empty_splats, finish, finite_rows, opened, pieces
 from .ply_codec import decode_quats
 
@@ -71,6 +71,6 @@ def colors_to_sh(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
     return ((rgb.astype(np.float64) / 255.0 - 0.5) / SH_C0).astype(np.float32)
 
 
-def to_bytes(values: NDArray[np.float32], factor: float, offset: float = 0.0) -> NDArray[np.uint8]:
+def to_bytes(values: Floats, factor: float, offset: float = 0.0) -> NDArray[np.uint8]:
     """offset + factor * values, rounded and held within 0..255."""
     return np.clip(np.rint(values.astype(np.float64) * factor + offset), 0, 255).astype(np.uint8)

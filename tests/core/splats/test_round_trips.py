@@ -37,6 +37,8 @@ PRECISION = {
     "splat": Precision(0.0, 1e-6, BYTE, BYTE, 0.016, None),
     # SH_C0 / 0.15 steps of a byte for colours; e^-10 to e^5.9 for scales
     "spz": Precision(2**-16, 1 / 32 + 1e-6, BYTE, 1.89 * BYTE, 0.007, 1 / 16 + 1e-6),
+    # a 254th of the range that the values span, here up to 10: of log scales and of harmonics
+    "sog": Precision(1e-4, 10 / 254, BYTE, 0.2821 * 10 / 254, 0.024, 10 / 254),
 }
 """As `docs/formats.md` states it."""
 
