@@ -108,6 +108,20 @@ def test_what_is_kept_is_kept_to_the_bit(rng):
     assert np.allclose(out[row, ~locked], open_, atol=1e-6)
 
 
+def test_no_more_bones_than_wanted(rng):
+    before, after = some_weights(rng, 60, 6), some_weights(rng, 60, 6)
+    locked = np.array([True, False, False, False, False, False])
+    out = keep(before, after, locked=locked, most=3)
+    assert np.array_equal(out[:, 0], before[:, 0])
+    changed = (out != before).any(axis=1)
+    assert (np.count_nonzero(out[changed], axis=1) <= 3).all()
+    for row in np.flatnonzero(changed):
+        room = 3 - int(before[row, 0] > 0)
+        strongest = np.sort(after[row, 1:])[::-1][:room]
+        share = strongest / strongest.sum() * (1 - before[row, 0])
+        assert np.allclose(np.sort(out[row, 1:])[::-1][:room], share, atol=1e-6)
+
+
 def test_a_row_that_would_be_empty_stays():
     before = np.array([[0.5, 0.5, 0.0], [1.0, 0.0, 0.0]], np.float32)
     after = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0]], np.float32)
