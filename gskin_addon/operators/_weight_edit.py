@@ -32,6 +32,7 @@ class WeightEdit:
     window, in the mode that the artist is in."""
 
     bl_options = {"REGISTER", "UNDO"}
+    bl_label: str
 
     needs_selection = False
     """Whether it is for selected splats alone; else, where no selection is shown, for all."""
@@ -68,7 +69,8 @@ class WeightEdit:
         if not self._begin(context):
             return {"CANCELLED"}
         self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
-        context.window_manager.modal_handler_add(self)
+        operator: Any = self
+        context.window_manager.modal_handler_add(operator)
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:

@@ -16,7 +16,7 @@ from ._weight_edit import WeightEdit
 
 
 class GSKIN_OT_mirror_weights(WeightEdit, bpy.types.Operator):
-    """Give one side of the body the weights of the other: bones by their names and places, splats by what lies across"""
+    """Give one side of the body the weights of the other: bones by name and place, splats by what lies across"""
 
     bl_idname = "gskin.mirror_weights"
     bl_label = "Mirror Splat Weights"

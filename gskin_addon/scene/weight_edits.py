@@ -38,10 +38,10 @@ def iter_edit_weights(
 ) -> Steps[int]:
     """Let `change` work on the weights of `obj`; the number of splats whose weights are others now.
 
-    selected (N,) bool: only these change, all where left out. Groups that are locked, by the artist or by their name in
-    `lock`, keep their weights to the bit, as do those of no bone; changed rows sum to 1 and keep the strongest
-    `names.INFLUENCES` bones, which is what turns splats. Splats without any weight take part as the first bone's. In slices; only
-    the last one changes the scene.
+    selected (N,) bool: only these change, all where left out. Groups that are locked, by the artist or by their name
+    in `lock`, keep their weights to the bit, as do those of no bone; changed rows sum to 1 and keep the strongest
+    `names.INFLUENCES` bones, which is what turns splats. Splats without any weight take part as the first bone's. In
+    slices; only the last one changes the scene.
 
     Raises InputError: the object follows no armature, is in Edit Mode, or was changed meanwhile; all bones locked.
     """
@@ -116,7 +116,7 @@ def selected_splats(obj: bpy.types.Object) -> Array:
     """(N,) bool: the splats that are selected, as Edit Mode shows them, also while it is open."""
     if obj.mode == "EDIT":
         obj.update_from_editmode()
-    selected = np.zeros(len(obj.data.vertices), bool)
+    selected = np.zeros(len(obj.data.vertices), np.bool_)
     obj.data.vertices.foreach_get("select", selected)
     return selected
 

@@ -50,7 +50,7 @@ def select(obj, mask):
 
 
 def test_smooth_is_the_cores_and_the_splats_turn_with_it(scene):
-    obj, armature, before = scene
+    obj, _armature, before = scene
     assert bpy.ops.gskin.smooth_weights(factor=0.7, repeat=3) == {"FINISHED"}
     graph = body_graph(read_cloud(obj).means)
     expected = keep(before, smooth(before, graph, factor=0.7, repeat=3), most=4)
@@ -66,7 +66,7 @@ def test_turns_follow_at_once(scene):
 
 
 def test_selection_locks_order_and_other_groups_stay(scene):
-    obj, armature, before = scene
+    obj, _armature, before = scene
     names = [group.name for group in obj.vertex_groups]
     locked = names[2]
     obj.vertex_groups[locked].lock_weight = True
@@ -83,7 +83,8 @@ def test_selection_locks_order_and_other_groups_stay(scene):
     assert np.array_equal(after[:, column], before[:, column])
     np.testing.assert_allclose(after.sum(axis=1), 1, atol=1e-6)
     mask = np.arange(len(bones)) == column
-    np.testing.assert_allclose(after, keep(before, sharpen(before, 0.9), selected=selected, locked=mask, most=4), atol=1e-6)
+    expected = keep(before, sharpen(before, 0.9), selected=selected, locked=mask, most=4)
+    np.testing.assert_allclose(after, expected, atol=1e-6)
     assert sorted(group.name for group in obj.vertex_groups) == sorted(names)
     assert obj.vertex_groups[locked].lock_weight
     assert obj.vertex_groups.active.name == names[3]
@@ -91,7 +92,7 @@ def test_selection_locks_order_and_other_groups_stay(scene):
 
 
 def test_to_bone_flood_and_neighbours(scene):
-    obj, armature, before = scene
+    obj, _armature, before = scene
     bones = read_weights(obj)[1]
     selected = np.arange(COUNT) < 20
     select(obj, selected)
@@ -109,7 +110,7 @@ def test_to_bone_flood_and_neighbours(scene):
 
 
 def test_a_soft_rim_changes_splats_around_the_selection(scene):
-    obj, armature, before = scene
+    obj, _armature, before = scene
     bones = read_weights(obj)[1]
     select(obj, np.arange(COUNT) < 5)
     bpy.ops.gskin.assign_to_bone(bone=bones[1], rim=0.5)
@@ -119,7 +120,7 @@ def test_a_soft_rim_changes_splats_around_the_selection(scene):
 
 
 def test_nothing_selected_and_wrong_bones_are_refused(scene):
-    obj, armature, before = scene
+    obj, _armature, before = scene
     select(obj, np.zeros(COUNT, bool))
     with pytest.raises(RuntimeError, match="No splats of 'S' are selected"):
         bpy.ops.gskin.flood_weights()
@@ -134,13 +135,13 @@ def test_nothing_selected_and_wrong_bones_are_refused(scene):
 
 
 def test_mirror_needs_sides(scene):
-    obj, armature, before = scene
+    _obj, _armature, _before = scene
     with pytest.raises(RuntimeError, match="left and right"):
         bpy.ops.gskin.mirror_weights()
 
 
 def test_undo_brings_the_weights_back(scene):
-    obj, armature, before = scene
+    _obj, _armature, before = scene
     bpy.context.preferences.edit.use_global_undo = True
     bpy.ops.ed.undo_push(message="before")
     bpy.ops.gskin.sharpen_weights(amount=1.0)

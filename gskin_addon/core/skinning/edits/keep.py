@@ -20,8 +20,9 @@ def keep(
     """`after` for the selected splats and the bones that are not locked, `before` to the bit for all others.
 
     before, after (N, B) float32, before's rows as they are, after's with any positive sum; selected (N,) bool, all
-    where left out; locked (B,) bool, none where left out; most: bones that a changed row keeps, the locked and then the
-    strongest, 0 for all. A changed row sums to 1: its open bones share what the locked ones leave. Where `after` gives the open bones nothing, or the locked ones leave nothing, the row stays.
+    where left out; locked (B,) bool, none where left out; most: bones that a changed row keeps, the locked and then
+    the strongest, 0 for all. A changed row sums to 1: its open bones share what the locked ones leave. Where `after`
+    gives the open bones nothing, or the locked ones leave nothing, the row stays.
     """
     before = np.asarray(before, np.float32)
     out = before.copy()
