@@ -42,6 +42,9 @@ TURN = "gskin:turn"
 CONFIDENCE = "gskin:confidence"
 """How sure the weights of each splat are, 0 to 1; exists where the method that made them knows."""
 
+SIDE = "gskin:side"
+"""Label of a splat at a seam, 0 for none: splats with two labels belong to parts that touch but are not one."""
+
 COLOR = "gskin:color"
 """Linear colour and opacity of a drawn splat; exists only on the display geometry."""
 
