@@ -33,6 +33,7 @@ from .operators import (
     remove_runtime,
     repair_runtime,
     save_weights,
+    separate_parts,
     sharpen_weights,
     smooth_weights,
 )
@@ -71,6 +72,7 @@ MODULES = (
     assign_to_bone,
     flood_weights,
     mirror_weights,
+    separate_parts,
     anchor,
     auto_skin,
     command_line,

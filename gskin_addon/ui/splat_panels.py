@@ -71,6 +71,10 @@ class GSKIN_PT_weights(_Child, bpy.types.Panel):
         grid.operator("gskin.flood_weights", text="Flood")
         grid.operator("gskin.follow_neighbours", text="Follow Neighbours")
         grid.operator("gskin.mirror_weights", text="Mirror")
+        row = column.row(align=True)
+        row.operator("gskin.separate_parts", icon="MOD_EDGESPLIT")
+        row.operator("gskin.select_seams", text="", icon="RESTRICT_SELECT_OFF")
+        row.operator("gskin.clear_seams", text="", icon="X")
         column.separator()
         if proxy_of(chosen_splats(context)) is None:
             column.operator("gskin.anchor_to_mesh", icon="MESH_DATA")
