@@ -105,7 +105,8 @@ class SkinJob:
             scope = Scope(walls=read_seams(splats))
             if only is not None and settings["guidance"] != DEFAULT_GUIDANCE:
                 present = normalise(read_weights(splats, skeleton.names)[0])
-                scope = Scope(present, np.flatnonzero(only), scope.walls).checked(cloud.count, skeleton.count, f"'{splats.name}'")
+                scope = Scope(present, np.flatnonzero(only), scope.walls)
+                scope = scope.checked(cloud.count, skeleton.count, f"'{splats.name}'")
                 settings = {**settings, "init": PRESENT, "init_options": {}}
             if not scope.empty:
                 name, arrays = scope_file(scope)
