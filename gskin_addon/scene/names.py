@@ -39,6 +39,13 @@ WEIGHT = "gskin:weight_{}"
 CONFIDENCE = "gskin:confidence"
 """How sure the weights of each splat are, 0 to 1; exists where the method that made them knows."""
 
+COMPARED = "gskin_compared"
+"""Custom property of a splat mesh whose weights have a counterpart to compare with: a group with name (of what was
+before), shown ("before" or "result") and bones, those of the kept side."""
+KEPT_BONE = "gskin:kept_bone_{}"
+"""On the points: the side that is not shown. Index into these bones; what has weight 0 is empty."""
+KEPT_WEIGHT = "gskin:kept_weight_{}"
+
 COLOR = "gskin:color"
 """Linear colour and opacity of a drawn splat; exists only on the display geometry."""
 

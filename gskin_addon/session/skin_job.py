@@ -169,6 +169,8 @@ class SkinJob:
             weights = result.weights, result.mesh_weights
             yield from iter_write_weights_through(splats, proxies[0], armature, *weights, result.bones, **options)
         else:
+            if result.start is not None:
+                options["start"] = str(result.report.get("start") or "initial weights"), result.start
             yield from iter_write_weights(splats, armature, result.weights, result.bones, **options)
         if not self.kept:
             shutil.rmtree(self.client.folder, ignore_errors=True)

@@ -9,6 +9,7 @@ from typing import Any
 import bpy
 
 from ..core.job.progress_text import time_left
+from ..scene.compared import compared
 from ..session.confidence import sure_share
 from ..session.running_job import state
 
@@ -34,6 +35,17 @@ def draw(layout: bpy.types.UILayout, width: int) -> None:
             icon = "BLANK1"
         if state.details:
             box.label(text="The details are in the system console", icon="BLANK1")
+
+
+def draw_comparison(layout: bpy.types.UILayout, splats: bpy.types.Object | None) -> None:
+    """The two sides of the weights, the shown one pressed in; nothing where there is nothing to compare with."""
+    now = None if splats is None else compared(splats)
+    if now is None:
+        return
+    name, shown = now
+    row = layout.row(align=True)
+    for side, text in (("before", name[:1].upper() + name[1:]), ("result", "Learned")):
+        row.operator("gskin.compare_weights", text=text, depress=shown == side).show = side.upper()
 
 
 def draw_confidence(layout: bpy.types.UILayout, splats: bpy.types.Object | None) -> None:
