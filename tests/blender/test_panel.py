@@ -411,6 +411,18 @@ def test_confidence_is_a_bar(scene, splats, armature):
     assert sure_share(splats) == 1.0
 
 
+def test_where_all_are_sure_the_panel_tells_the_least_sure_apart(scene, splats, armature):
+    sure = np.linspace(0.6, 1.0, 2000, dtype=np.float32)
+    start = "bone heat", Influences.strongest(np.full((2000, 2), 0.5, np.float32))
+    bind(splats, armature, confidence=sure, start=start)
+    lines = drawn()
+    assert not any("are sure" in line for line in lines)
+    assert {"Least sure 1%: below 60%", "Least sure 5%: below 62%", "Least sure 10%: below 64%"} <= set(lines)
+    assert "Half of them: above 80%" in lines
+    bpy.ops.gskin.compare_weights(show="BEFORE")  # these numbers are not about the weights that are shown now
+    assert not any("Least sure" in line for line in drawn())
+
+
 def test_the_two_sides_of_the_weights_are_a_toggle(scene, splats, armature):
     assert "gskin.compare_weights: Bone heat" not in drawn()
     bind(splats, armature, start=("bone heat", Influences.strongest(np.full((2000, 2), 0.5, np.float32))))
