@@ -199,6 +199,8 @@ class SkinJob:
         elif self.only is not None or locked_groups(splats, result.bones):
             words = yield from self._merge(splats, armature, result)
         else:
+            if result.start is not None:
+                options["start"] = str(result.report.get("start") or "initial weights"), result.start
             yield from iter_write_weights(splats, armature, result.weights, result.bones, **options)
         if not self.kept:
             shutil.rmtree(self.client.folder, ignore_errors=True)
