@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -28,14 +29,16 @@ def decode(data: bytes) -> Pixels:
         except RuntimeError as error:
             raise ValueError("Blender cannot load the WebP image") from error
         try:
+            settings: Any = image.colorspace_settings
             with contextlib.suppress(TypeError):  # a colour configuration of one's own may not have that name
-                image.colorspace_settings.name = "Non-Color"
+                settings.name = "Non-Color"
             image.alpha_mode = "CHANNEL_PACKED"
             width, height = image.size
             if not width or image.channels != 4 or image.is_float:
                 raise ValueError("Blender cannot decode the WebP image")
             values = np.empty(4 * width * height, np.float32)
-            image.pixels.foreach_get(values)
+            buffer: Any = image.pixels
+            buffer.foreach_get(values)
         finally:
             bpy.data.images.remove(image)
     values *= 255.0

@@ -18,6 +18,7 @@ from .sog import META, read_sog
 from .sog_write import write_sog
 from .splat import read_splat, write_splat
 from .spz import MAGIC as SPZ
+from .spz import UP as SPZ_UP
 from .spz import read_spz, write_spz
 
 Reader = Callable[[Path, bool], Reading]
@@ -42,7 +43,7 @@ class SplatFormat:
 FORMATS: dict[str, SplatFormat] = {
     "ply": SplatFormat((".ply",), (b"ply\n", b"ply\r"), read_ply_pieces, write_ply),
     "splat": SplatFormat((".splat",), (), read_splat, write_splat),
-    "spz": SplatFormat((".spz",), (SPZ, b"\x1f\x8b"), read_spz, write_spz, "y"),
+    "spz": SplatFormat((".spz",), (SPZ, b"\x1f\x8b"), read_spz, write_spz, SPZ_UP),
     "sog": SplatFormat((".sog",), (ZIP,), read_sog, write_sog),
 }
 """By name; another format is one file beside `ply.py` and one entry here."""

@@ -51,14 +51,15 @@ def pieces(count: int, size: int = PIECE) -> Iterator[slice]:
         yield slice(start, min(start + size, count))
 
 
-def empty_splats(count: int, degree: int) -> SplatCloud:
-    """A cloud of `count` splats to be filled; contents undefined."""
+def empty_splats(count: int, degree: int, up: str = "") -> SplatCloud:
+    """A cloud of `count` splats to be filled; contents undefined. up: as in the cloud."""
     return SplatCloud(
         means=np.empty((count, 3), np.float32),
         quats=np.empty((count, 4), np.float32),
         scales=np.empty((count, 3), np.float32),
         opacities=np.empty(count, np.float32),
         sh=np.empty((count, (degree + 1) ** 2, 3), np.float32),
+        up=up,
     )
 
 

@@ -31,6 +31,8 @@ from .zstd import Part, compress_zstd, open_zstd, zstd_errors
 
 MAGIC = b"NGSP"
 VERSIONS = (1, 2, 3, 4)
+UP = "y"
+"""By the format's own rules: right, up, back."""
 
 _COLOR = 0.15
 """Colours are stored as 0.5 + _COLOR * (constant harmonic)."""
@@ -87,7 +89,7 @@ def read_spz_stream(file: BinaryIO, size: int, path: Path, drop_invalid: bool) -
         sources = ((name, unpack) for name in header.sections())
         failures = _GZIP_ERRORS
     check_count(path, header.count, header.degree, size)
-    cloud = empty_splats(header.count, header.degree)
+    cloud = empty_splats(header.count, header.degree, UP)
     valid = np.ones(header.count, bool)
     parts = header.sections()
     total, done = sum(parts.values()) * header.count, 0
