@@ -11,6 +11,10 @@ from ..errors import InputError
 from ..ticks import run_to_end
 from .axes import rotate_cloud, up_rotation
 from .cloud import SplatCloud
+from .gltf_container import MAGIC as GLB
+from .gltf_file import UP as GLTF_UP
+from .gltf_file import read_gltf, write_gltf
+from .ksplat import read_ksplat, write_ksplat
 from .loaded import LoadedSplats, Reading
 from .ply import read_ply_pieces, write_ply
 from .sog import MAGIC as ZIP
@@ -43,7 +47,9 @@ class SplatFormat:
 FORMATS: dict[str, SplatFormat] = {
     "ply": SplatFormat((".ply",), (b"ply\n", b"ply\r"), read_ply_pieces, write_ply),
     "splat": SplatFormat((".splat",), (), read_splat, write_splat),
+    "ksplat": SplatFormat((".ksplat",), (), read_ksplat, write_ksplat),
     "spz": SplatFormat((".spz",), (SPZ, b"\x1f\x8b"), read_spz, write_spz, SPZ_UP),
+    "gltf": SplatFormat((".glb", ".gltf"), (GLB,), read_gltf, write_gltf, GLTF_UP),
     "sog": SplatFormat((".sog",), (ZIP,), read_sog, write_sog),
 }
 """By name; another format is one file beside `ply.py` and one entry here."""

@@ -15,6 +15,7 @@ from splat_clouds import random_cloud
 
 from gskin_addon.core.splats.cloud import SplatCloud
 from gskin_addon.core.splats.formats import FORMATS, read_splats
+from gskin_addon.core.splats.gltf_file import write_gltf
 from gskin_addon.core.splats.spz import write_spz
 
 
@@ -37,6 +38,8 @@ PRECISION = {
     "splat": Precision(0.0, 1e-6, BYTE, BYTE, 0.016, None),
     # SH_C0 / 0.15 steps of a byte for colours; e^-10 to e^5.9 for scales
     "spz": Precision(2**-16, 1 / 32 + 1e-6, BYTE, 1.89 * BYTE, 0.007, 1 / 16 + 1e-6),
+    "ksplat": Precision(0.0, 1e-6, BYTE, BYTE, 1e-6, 0.0),
+    "gltf": Precision(0.0, 0.0, 0.0, 0.0, 1e-6, 0.0),
     # a 254th of the range that the values span, here up to 10: of log scales and of harmonics
     "sog": Precision(1e-4, 10 / 254, BYTE, 0.2821 * 10 / 254, 0.024, 10 / 254),
 }
@@ -64,8 +67,9 @@ def assert_close(found: SplatCloud, wanted: SplatCloud, limits: Precision) -> No
         np.testing.assert_allclose(*held, rtol=0, atol=limits.sh)
 
 
-WRITERS = [(name, form.suffixes[0], form.write, 4 if name in ("ply", "spz") else 3) for name, form in FORMATS.items()]
-WRITERS.append(("spz", ".spz", partial(write_spz, version=4), 4))
+DEGREES = {"ply": 4, "spz": 4, "ksplat": 2}
+WRITERS = [(name, form.suffixes[0], form.write, DEGREES.get(name, 3)) for name, form in FORMATS.items()]
+WRITERS += [("spz", ".spz", partial(write_spz, version=4), 4), ("gltf", ".gltf", write_gltf, 3)]
 
 
 @pytest.mark.parametrize(("name", "suffix", "write", "degrees"), WRITERS)
