@@ -16,7 +16,9 @@ from .gltf_file import UP as GLTF_UP
 from .gltf_file import read_gltf, write_gltf
 from .ksplat import read_ksplat, write_ksplat
 from .loaded import LoadedSplats, Reading
+from .other_formats import REMEDIES, TRANSFORM
 from .ply import read_ply_pieces, write_ply
+from .ply_compressed_write import write_compressed
 from .sog import MAGIC as ZIP
 from .sog import META, read_sog
 from .sog_write import write_sog
@@ -24,6 +26,8 @@ from .splat import read_splat, write_splat
 from .spz import MAGIC as SPZ
 from .spz import UP as SPZ_UP
 from .spz import read_spz, write_spz
+
+GZIP = b"\x1f\x8b"
 
 Reader = Callable[[Path, bool], Reading]
 """(file, leave invalid splats out) -> a reading of splats with the file's own axes; InputError for what is no such."""
@@ -46,16 +50,18 @@ class SplatFormat:
 
 FORMATS: dict[str, SplatFormat] = {
     "ply": SplatFormat((".ply",), (b"ply\n", b"ply\r"), read_ply_pieces, write_ply),
+    "compressed ply": SplatFormat((".compressed.ply",), (), read_ply_pieces, write_compressed),
     "splat": SplatFormat((".splat",), (), read_splat, write_splat),
     "ksplat": SplatFormat((".ksplat",), (), read_ksplat, write_ksplat),
-    "spz": SplatFormat((".spz",), (SPZ, b"\x1f\x8b"), read_spz, write_spz, SPZ_UP),
+    "spz": SplatFormat((".spz",), (SPZ, GZIP), read_spz, write_spz, SPZ_UP),
     "gltf": SplatFormat((".glb", ".gltf"), (GLB,), read_gltf, write_gltf, GLTF_UP),
     "sog": SplatFormat((".sog",), (ZIP,), read_sog, write_sog),
 }
 """By name; another format is one file beside `ply.py` and one entry here."""
 
 SUFFIXES = tuple(suffix for form in FORMATS.values() for suffix in form.suffixes)
-
+FILE_TYPES = tuple(dict.fromkeys(f".{suffix.rpartition('.')[2]}" for suffix in SUFFIXES))
+"""What file browsers and handlers of dropped files look at: the part after the last dot."""
 
 def read_splats(path: Path, *, drop_invalid: bool = False) -> LoadedSplats:
     """Read a file of any known format, recognised by its first bytes, else by its name.
@@ -109,6 +115,9 @@ def find_format(path: Path) -> SplatFormat:
                 start = file.read(16)
         except OSError as error:
             raise InputError(f"'{path}' cannot be read ({error.strerror or error}); check the path.") from error
+    what = REMEDIES.get(path.suffix.lower())
+    if what is not None and start.startswith((ZIP, GZIP)):
+        raise InputError(f"'{path}' is {what}.")  # others also have zips and gzip streams
     for form in FORMATS.values():
         if start.startswith(form.magics):
             return form
@@ -117,7 +126,10 @@ def find_format(path: Path) -> SplatFormat:
         if not path.is_file():
             raise InputError(f"'{path}' does not exist; check the path of the splats.")
         return named  # its reader says what is wrong with the first bytes
+    if not path.exists():
+        raise InputError(f"'{path}' does not exist; check the path of the splats.")
+    if what is not None:
+        raise InputError(f"'{path}' is {what}.")
     raise InputError(
-        f"'{path}' is no {' or '.join(SUFFIXES)} file; export the splats as a Gaussian splat .ply "
-        "(the program splat-transform turns many other formats into one)."
+        f"'{path}' is no {', '.join(SUFFIXES)} file or folder of a .sog; export the splats as .ply, or {TRANSFORM}."
     )

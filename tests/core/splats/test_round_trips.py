@@ -16,6 +16,7 @@ from splat_clouds import random_cloud
 from gskin_addon.core.splats.cloud import SplatCloud
 from gskin_addon.core.splats.formats import FORMATS, read_splats
 from gskin_addon.core.splats.gltf_file import write_gltf
+from gskin_addon.core.splats.morton import morton_order
 from gskin_addon.core.splats.spz import write_spz
 
 
@@ -35,6 +36,8 @@ class Precision:
 BYTE = 0.5 / 255 + 1e-6
 PRECISION = {
     "ply": Precision(0.0, 2e-6, 1e-6, 1e-6, 1e-6, 0.0),
+    # a 2047th (centres: a 1023rd along y) of what the 256 splats of a chunk span, here up to 2 x the farthest, and 10
+    "compressed ply": Precision(1 / 1023, 5 / 1023, BYTE, 10 * 0.2821 / 510, 0.007, 1 / 64 + 1e-6),
     "splat": Precision(0.0, 1e-6, BYTE, BYTE, 0.016, None),
     # SH_C0 / 0.15 steps of a byte for colours; e^-10 to e^5.9 for scales
     "spz": Precision(2**-16, 1 / 32 + 1e-6, BYTE, 1.89 * BYTE, 0.007, 1 / 16 + 1e-6),
@@ -84,4 +87,6 @@ def test_written_is_read(tmp_path: Path, name, suffix, write, degrees, data):
     loaded = read_splats(path)
     assert loaded.total == count
     np.testing.assert_array_equal(loaded.kept, np.arange(count))
+    if name == "compressed ply":
+        cloud = cloud.select(morton_order(cloud.means))
     assert_close(loaded.cloud, cloud, PRECISION[name])
