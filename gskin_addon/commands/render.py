@@ -33,11 +33,11 @@ if TYPE_CHECKING:
 def run(options: argparse.Namespace) -> None:
     """Do it. Raises InputError for what cannot be used."""
     check_output(options.out, "--out", (".png",))
-    if options.source.suffix.lower() == ".ply":
+    if options.source.suffix.lower() != ".blend":
         if options.engine == "cycles" or options.color != "splats" or options.rotate or options.frame is not None:
             raise InputError(f"'{options.source}' has no rig to pose, colour or render by; give a rigged .blend.")
         cloud = read_splats(options.source, drop_invalid=True)
-        draw(rotate_cloud(cloud, up_rotation(options.ply_up)), options)
+        draw(rotate_cloud(cloud, up_rotation(options.up or cloud.up or "z")), options)
     else:
         obj = open_posed(options)
         if options.engine == "cycles":
