@@ -49,6 +49,7 @@ def draw_comparison(layout: bpy.types.UILayout, splats: bpy.types.Object | None)
     row = layout.row(align=True)
     for side, text in (("before", name[:1].upper() + name[1:]), ("result", "Learned")):
         row.operator("gskin.compare_weights", text=text, depress=shown == side).show = side.upper()
+    row.operator("gskin.blend_weights", text="", icon="OVERLAY")
 
 
 def draw_confidence(layout: bpy.types.UILayout, splats: bpy.types.Object | None) -> None:
