@@ -32,7 +32,7 @@ from .operators import (
     save_weights,
 )
 from .scene import follow_display, follow_transforms, handlers, helpers
-from .session import guidance_settings, properties, running_job
+from .session import guidance_settings, live_pictures, properties, running_job
 from .ui import job_presets as job_presets_menu
 from .ui import panel, preferences, splat_panels
 
@@ -42,6 +42,7 @@ MODULES = (
     guidance_settings,
     properties,
     running_job,
+    live_pictures,
     preferences,
     check_python,
     install_runtime,
