@@ -34,7 +34,7 @@ from .operators import (
 from .scene import follow_display, follow_transforms, handlers, helpers
 from .session import guidance_settings, live_pictures, properties, running_job
 from .ui import job_presets as job_presets_menu
-from .ui import panel, preferences, splat_panels
+from .ui import manual, panel, preferences, splat_panels
 
 # Each has CLASSES, HANDLERS (list of Blender, function) where it follows what happens, and register() and unregister()
 # where there is more to do.
@@ -69,6 +69,7 @@ MODULES = (
     job_presets_menu,
     panel,
     splat_panels,
+    manual,
     handlers,
     helpers,
     follow_transforms,
