@@ -9,6 +9,7 @@ import bpy
 
 from .operators import (
     anchor,
+    assign_to_bone,
     auto_skin,
     bind,
     cancel_runtime,
@@ -23,13 +24,19 @@ from .operators import (
     even_scale,
     export_glb,
     fix_rig_scale,
+    flood_weights,
+    follow_neighbours,
     import_splats,
     install_runtime,
     job_presets,
+    mirror_weights,
     place,
     remove_runtime,
     repair_runtime,
     save_weights,
+    separate_parts,
+    sharpen_weights,
+    smooth_weights,
 )
 from .scene import follow_display, follow_transforms, handlers, helpers
 from .session import guidance_settings, live_pictures, properties, running_job
@@ -61,6 +68,13 @@ MODULES = (
     save_weights,
     export_glb,
     confidence,
+    smooth_weights,
+    sharpen_weights,
+    follow_neighbours,
+    assign_to_bone,
+    flood_weights,
+    mirror_weights,
+    separate_parts,
     compare,
     anchor,
     auto_skin,
