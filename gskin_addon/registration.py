@@ -40,9 +40,9 @@ from .operators import (
     smooth_weights,
 )
 from .scene import follow_display, follow_transforms, handlers, helpers
-from .session import guidance_settings, properties, running_job
+from .session import guidance_settings, live_pictures, properties, running_job
 from .ui import job_presets as job_presets_menu
-from .ui import panel, preferences, splat_panels
+from .ui import manual, panel, preferences, splat_panels
 
 # Each has CLASSES, HANDLERS (list of Blender, function) where it follows what happens, and register() and unregister()
 # where there is more to do.
@@ -50,6 +50,7 @@ MODULES = (
     guidance_settings,
     properties,
     running_job,
+    live_pictures,
     preferences,
     check_python,
     install_runtime,
@@ -84,6 +85,7 @@ MODULES = (
     job_presets_menu,
     panel,
     splat_panels,
+    manual,
     handlers,
     helpers,
     follow_transforms,

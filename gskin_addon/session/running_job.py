@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.app.handlers import persistent
 
+from . import live_pictures
+
 if TYPE_CHECKING:
     from .skin_job import SkinJob
 
@@ -35,6 +37,7 @@ def begin(job: SkinJob) -> None:
 def end(outcome: str, *, failed: bool = False, details: str = "") -> None:
     """No job runs any more; `details` may be a traceback of the worker."""
     state.job, state.outcome, state.failed, state.details = None, outcome, failed, details
+    live_pictures.forget()
 
 
 def stop() -> None:

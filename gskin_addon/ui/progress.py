@@ -10,6 +10,7 @@ import bpy
 
 from ..core.job.progress_text import time_left
 from ..scene.compared import compared
+from ..session import live_pictures
 from ..session.confidence import spread_of
 from ..session.running_job import state
 
@@ -24,6 +25,7 @@ def draw(layout: bpy.types.UILayout, width: int) -> None:
         event = job.progress
         layout.progress(factor=event.fraction, text=f"{event.fraction:.0%}  {time_left(job.seconds_left)}")
         layout.label(text="Stopping ..." if job.cancelling else event.message or event.stage.capitalize())
+        _draw_pictures(layout, live_pictures.icons(job.client.folder))
         for name, value in event.losses.items():
             row = layout.row()
             row.active = False
@@ -38,6 +40,15 @@ def draw(layout: bpy.types.UILayout, width: int) -> None:
             icon = "BLANK1"
         if state.details:
             box.label(text="The details are in the system console", icon="BLANK1")
+
+
+def _draw_pictures(layout: bpy.types.UILayout, pictures: list[tuple[str, int]]) -> None:
+    """The newest pictures of the running job side by side, with their names."""
+    row = layout.row()
+    for name, icon in pictures:
+        column = row.column()
+        column.template_icon(icon_value=icon, scale=7.0)
+        column.label(text=name)
 
 
 def draw_comparison(layout: bpy.types.UILayout, splats: bpy.types.Object | None) -> None:
