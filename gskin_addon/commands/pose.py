@@ -23,10 +23,11 @@ def run(options: argparse.Namespace) -> None:
         raise InputError(f"--out '{options.out}' would overwrite its own input; choose another name.")
     obj = open_posed(options)
     from ..scene import rig_files
+    from ..scene.placement import as_in_file
     from ..scene.posing import posed_cloud
 
     if options.out.suffix.lower() == ".ply":
-        write_splats(options.out, posed_cloud(obj))
+        write_splats(options.out, as_in_file(obj, posed_cloud(obj), options.ply_up or ""))
     elif options.out.suffix.lower() == ".glb":
         from ..scene.gltf_export import export_glb
 

@@ -16,6 +16,7 @@ ObjectData = Any
 _LAYOUT: dict[str, tuple[str, int, Any]] = {
     "FLOAT": ("value", 1, np.float32),
     "INT": ("value", 1, np.int32),
+    "INT32_2D": ("value", 2, np.int32),
     "BOOLEAN": ("value", 1, np.bool_),
     "FLOAT_VECTOR": ("vector", 3, np.float32),
     "FLOAT_COLOR": ("color", 4, np.float32),

@@ -13,7 +13,7 @@ from ..core.errors import InputError
 from ..core.job.checks import APART, SOUND, better_axis, check_overlap, overlap
 from ..core.rig.skeleton import Skeleton
 from ..scene.follow_transforms import warning_of
-from ..scene.placement import is_placed, offset_of, up_of
+from ..scene.placement import is_placed, shift_of, up_of
 from ..scene.proxy_object import followed_armature
 from ..scene.rig_fit import SplatSample, rest_skeleton, sample_splats, scale_to_fit, to_world
 from ..scene.splat_object import splat_count
@@ -206,7 +206,8 @@ def _place_check(
     except InputError as error:
         if bound:
             return Check("Place", "stop", error.plain)
-        if is_placed(splats) and overlap(points - offset_of(splats), skeleton) >= SOUND:
+        shift = shift_of(splats)
+        if shift.any() and overlap(points - shift, skeleton) >= SOUND:
             return Check("Place", "stop", error.plain, "gskin.move_rig_to_splats", "Move the Rig to the Splats")
         _, best, _ = better_axis(points, skeleton, up_of(splats))
         if best:

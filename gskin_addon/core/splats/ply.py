@@ -64,14 +64,14 @@ def read_ply(path: str | os.PathLike[str], *, drop_invalid: bool = False) -> Ply
                 vertex, rest = _splat_element(header, path)
                 cloud, valid = _read_splats(file, header, vertex, rest, path)
     except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror or error}); check the path.") from error
+        raise InputError(f"'{path}' cannot be read ({error.strerror or error}); check the path.") from error
     total = cloud.count
     bad = total - int(np.count_nonzero(valid))
     if bad == total:
-        raise InputError(f"{path}: all {bad} splats have {_INVALID}; export it again.")
+        raise InputError(f"'{path}': all {bad} splats have {_INVALID}; export it again.")
     if bad and not drop_invalid:
         raise InputError(
-            f"{path}: {bad} of {total} splats have {_INVALID}; "
+            f"'{path}': {bad} of {total} splats have {_INVALID}; "
             "read it with Drop Invalid Splats to leave them out.",
             terminal="drop_invalid=True, --drop-invalid",
         )
@@ -90,7 +90,7 @@ def write_ply(path: str | os.PathLike[str], cloud: SplatCloud, *, fmt: str = "bi
     if fmt not in FORMATS:
         raise InputError(f"{fmt!r} is no PLY format; use one of {', '.join(FORMATS)}.")
     if cloud.count == 0:
-        raise InputError(f"{path}: there are no splats to write; select at least one.")
+        raise InputError(f"'{path}': there are no splats to write; select at least one.")
     rest = 3 * (cloud.sh.shape[1] - 1)
     dtype = _file_dtype(cloud, rest, FORMATS[fmt])
 
@@ -107,7 +107,7 @@ def _splat_element(header: Header, path: Path) -> tuple[Element, int]:
     """The vertex element of a splat file and its number of f_rest properties; InputError for other files."""
     vertex = header.element("vertex")
     if vertex is None:
-        raise InputError(f"{path} has no vertices; choose a Gaussian splat .ply file.")
+        raise InputError(f"'{path}' has no vertices; choose a Gaussian splat .ply file.")
     names = set(vertex.properties)
     # Discs have two scales, balls one; a gap among them is a damaged file.
     last = max((place for place, name in enumerate(codec.SCALES) if name in names), default=2)
@@ -118,24 +118,24 @@ def _splat_element(header: Header, path: Path) -> tuple[Element, int]:
     if missing and (is_mesh or names.isdisjoint(codec.REQUIRED[3:])):
         kind = "a mesh" if is_mesh else "a point cloud"
         raise InputError(
-            f"{path} is {kind}, not Gaussian splats (no {', '.join(missing[:6])}, ...); "
+            f"'{path}' is {kind}, not Gaussian splats (no {', '.join(missing[:6])}, ...); "
             "choose a .ply file from a 3D Gaussian splatting program."
         )
     if missing:
-        raise InputError(f"{path} lacks the splat properties {', '.join(missing)}; {_COMPLETE}.")
+        raise InputError(f"'{path}' lacks the splat properties {', '.join(missing)}; {_COMPLETE}.")
     if vertex.lists:
         raise InputError(
-            f"{path} has list properties in its vertices ({', '.join(vertex.lists)}); export it without them."
+            f"'{path}' has list properties in its vertices ({', '.join(vertex.lists)}); export it without them."
         )
     rest = sum(name.startswith("f_rest_") for name in names)
     gaps = [name for name in codec.rest_names(rest) if name not in names]
     if gaps:
-        raise InputError(f"{path} lacks the splat properties {', '.join(gaps[:5])}; {_COMPLETE}.")
+        raise InputError(f"'{path}' lacks the splat properties {', '.join(gaps[:5])}; {_COMPLETE}.")
     if rest not in codec.REST_COUNTS:
         counts = ", ".join(map(str, codec.REST_COUNTS))
-        raise InputError(f"{path} has {rest} f_rest properties, not {counts} (degree 0-4); export it again.")
+        raise InputError(f"'{path}' has {rest} f_rest properties, not {counts} (degree 0-4); export it again.")
     if vertex.count == 0:
-        raise InputError(f"{path} has no splats; export it again.")
+        raise InputError(f"'{path}' has no splats; export it again.")
     return vertex, rest
 
 
@@ -176,7 +176,7 @@ def _read_splats(
 
 def _truncated(path: Path, expected: int, found: int) -> InputError:
     return InputError(
-        f"{path} is cut off: its header announces {expected} splats, the file holds {found}; "
+        f"'{path}' is cut off: its header announces {expected} splats, the file holds {found}; "
         "copy or export it again."
     )
 
@@ -187,7 +187,7 @@ def _binary_pieces(file: BinaryIO, header: Header, vertex: Element, path: Path) 
     for element in header.before(vertex.name):
         if element.lists:
             raise InputError(
-                f"{path} has lists ({element.name}) before its vertices; export it with the vertices first."
+                f"'{path}' has lists ({element.name}) before its vertices; export it with the vertices first."
             )
         offset += element.count * element.dtype(header.order).itemsize
     dtype = vertex.dtype(header.order)
@@ -238,7 +238,7 @@ def _parse_lines(lines: list[str], columns: int, start: int, path: Path) -> NDAr
         words = line.split()
         if len(words) != columns:
             raise InputError(
-                f"{path}: splat {start + index} has {len(words)} values, expected {columns}; "
+                f"'{path}': splat {start + index} has {len(words)} values, expected {columns}; "
                 "the file is cut off or damaged, export it again."
             )
         for word in words:
@@ -246,9 +246,9 @@ def _parse_lines(lines: list[str], columns: int, start: int, path: Path) -> NDAr
                 float(word)
             except ValueError:
                 raise InputError(
-                    f"{path}: splat {start + index} holds {word[:20]!r}, not a number; export the file again."
+                    f"'{path}': splat {start + index} holds {word[:20]!r}, not a number; export the file again."
                 ) from None
-    raise InputError(f"{path} has vertex lines that cannot be read as numbers; export it again.")
+    raise InputError(f"'{path}' has vertex lines that cannot be read as numbers; export it again.")
 
 
 def _file_dtype(cloud: SplatCloud, rest: int, order: str) -> np.dtype[Any]:
