@@ -13,7 +13,7 @@ from ..core.errors import InputError
 from ..core.rig.lbs import skin_cloud
 from ..core.splats.cloud import SplatCloud
 from .anchored import proxy_of
-from .armature import pose_transforms_of
+from .armature import bends_of, pose_transforms_of
 from .bone_frames import armature_of
 from .proxy_object import posed_anchored
 from .splat_object import read_cloud
@@ -66,7 +66,7 @@ def posed_cloud(obj: bpy.types.Object) -> SplatCloud:
     total = weights.sum(axis=1, keepdims=True)
     # A splat without weights stays where it is: one more "bone" that never moves takes it.
     weights = np.concatenate([weights / np.maximum(total, 1e-12), total <= 0], axis=1).astype(np.float32)
-    return skin_cloud(cloud, weights, np.concatenate([transforms, np.eye(4)[None]]))
+    return skin_cloud(cloud, weights, np.concatenate([transforms, np.eye(4)[None]]), bends=bends_of(armature))
 
 
 def _rotation(bone: bpy.types.PoseBone) -> mathutils.Quaternion:
