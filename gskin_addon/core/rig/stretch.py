@@ -26,7 +26,7 @@ COLLAPSED = 0.05
 
 
 def polar(maps: Array) -> tuple[Array, Array, Array]:
-    """A = p R U for maps A (..., 3, 3): R as unit quaternions (..., 4), U (..., 3, 3) symmetric, parity p (...) 1 or -1.
+    """A = p R U for maps A (..., 3, 3): R as unit quaternions (..., 4), U (..., 3, 3) symmetric, parity p (...) +-1.
 
     A mirroring map is minus a rotation times a stretch: the sign changes no covariance, and bones that are all
     mirrored blend as they would without. U has no negative eigenvalue.
@@ -52,13 +52,12 @@ def second_moments(weights: Array, quats: Array) -> Array:
     return np.asarray((np.asarray(weights, np.float64) @ outer.reshape(len(quats), 16)).reshape(-1, 4, 4))
 
 
-def stretched_maps(maps: Array, turn: Array, moments: Array, uneven: Array, *, rigid_blend: bool = False) -> tuple[Array, Array]:
+def stretched_maps(maps: Array, turn: Array, moments: Array, uneven: Array) -> tuple[Array, Array]:
     """What turns splats and what stretches them: unit quaternions R (N, 4) and maps M = R S (N, 3, 3).
 
     maps (N, 3, 3): the blended local maps J. turn (N, 4): the blended rotation of Eq. 3. moments (N, 4, 4): of the
     quaternions that were blended (`second_moments`). uneven (N,): how far the bones of each splat are from plain
-    rotations; 0 gives R = turn and, where J blends rotations, S = I. With `rigid_blend` the deformation blends
-    rotations without loss (dual quaternions), and J is what it would be without.
+    rotations; 0 gives R = turn and, where J blends rotations, S = I.
 
     R is the rotation of J, S = (R^T J)_sym + K, and K what blending the rotations Q_b lost: the sum of
     w_b (I - (R^T Q_b)_sym).
@@ -68,8 +67,6 @@ def stretched_maps(maps: Array, turn: Array, moments: Array, uneven: Array, *, r
     share = np.clip((np.asarray(uneven) - RIGID) / (PLAINLY - RIGID), 0, 1)
     share = share * share * (3 - 2 * share)
     turn = np.asarray(turn, dtype=np.float64)
-    if rigid_blend:
-        maps = maps + quat_to_matrix(turn) @ _lost(turn, moments)
     u, s, vt = np.linalg.svd(maps)
     share = np.where(s[:, 1] + s[:, 2] > COLLAPSED * s[:, 0], share, 0)
     u[:, :, 2] *= np.where(np.linalg.det(u @ vt) < 0, -1.0, 1.0)[:, None]
@@ -78,9 +75,7 @@ def stretched_maps(maps: Array, turn: Array, moments: Array, uneven: Array, *, r
     blended = normalize(turn + share[:, None] * (own - turn))
     rotation = quat_to_matrix(blended)
     stretch = np.swapaxes(rotation, 1, 2) @ maps
-    stretch = (stretch + np.swapaxes(stretch, 1, 2)) / 2
-    if not rigid_blend:
-        stretch = stretch + _lost(blended, moments)
+    stretch = (stretch + np.swapaxes(stretch, 1, 2)) / 2 + _lost(blended, moments)
     return blended, rotation @ stretch
 
 
