@@ -39,7 +39,7 @@ from .operators import (
     sharpen_weights,
     smooth_weights,
 )
-from .scene import follow_display, follow_transforms, handlers, helpers
+from .scene import follow_display, follow_transforms, handlers, helpers, webp_images
 from .session import guidance_settings, live_pictures, properties, running_job
 from .ui import job_presets as job_presets_menu
 from .ui import manual, panel, preferences, splat_panels
@@ -47,6 +47,7 @@ from .ui import manual, panel, preferences, splat_panels
 # Each has CLASSES, HANDLERS (list of Blender, function) where it follows what happens, and register() and unregister()
 # where there is more to do.
 MODULES = (
+    webp_images,
     guidance_settings,
     properties,
     running_job,
