@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from ...core.render.drawn_splats import DrawnSplats
 from ...core.render.screen_space import is_orthographic
 from ...core.render.view_order import arrange
-from .shaders import splat_shader, square
+from .shaders import gpu_types, splat_shader, square
 from .textures import PoseTextures, color_texture, image_texture, object_texture, order_texture, pose_textures
 
 
@@ -30,8 +30,8 @@ class Target:
 
 def make_target(width: int, height: int) -> Target:
     """A target of so many pixels."""
-    texture = gpu.types.GPUTexture((width, height), format="RGBA16F")
-    return Target(texture, gpu.types.GPUFrameBuffer(color_slots=[texture]), width, height)
+    texture = gpu_types.GPUTexture((width, height), format="RGBA16F")
+    return Target(texture, gpu_types.GPUFrameBuffer(color_slots=[texture]), width, height)
 
 
 def draw_into(

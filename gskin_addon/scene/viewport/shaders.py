@@ -14,6 +14,9 @@ import gpu
 
 from ...core.render.screen_space import DILATION, EDGE
 
+gpu_types: Any = gpu.types
+"""Blender's own; published typings lack most arguments."""
+
 WIDTH = 2048
 """Splats of one row of the textures."""
 
@@ -146,8 +149,8 @@ void main() {
 @cache
 def splat_shader(*, behind_others: bool) -> Any:
     """Draws one quad per splat; with `behind_others` it leaves out what lies behind the texture `depths`."""
-    info = gpu.types.GPUShaderCreateInfo()
-    between = gpu.types.GPUStageInterfaceInfo("gskin_splat")
+    info = gpu_types.GPUShaderCreateInfo()
+    between = gpu_types.GPUStageInterfaceInfo("gskin_splat")
     between.smooth("VEC2", "corner")
     between.flat("VEC4", "premultiplied")
     names = ["orders", "points", "rotations", "scales", "colors", "objects"]
@@ -175,7 +178,7 @@ def splat_shader(*, behind_others: bool) -> Any:
 @cache
 def composite_shader() -> Any:
     """Lays a drawn target over the view, decoded to linear colours, with an outline where `outlined` ends."""
-    info = gpu.types.GPUShaderCreateInfo()
+    info = gpu_types.GPUShaderCreateInfo()
     for slot, name in enumerate(("drawn", "outlined", "overlay")):
         info.sampler(slot, "FLOAT_2D", name)
     info.push_constant("VEC4", "outline_color")
@@ -192,11 +195,11 @@ def composite_shader() -> Any:
 @cache
 def square() -> Any:
     """A square of half width one, for `draw_instanced`; the composite's covers the whole screen."""
-    form = gpu.types.GPUVertFormat()
+    form = gpu_types.GPUVertFormat()
     form.attr_add(id="side", comp_type="F32", len=2, fetch_mode="FLOAT")
-    corners = gpu.types.GPUVertBuf(form, 4)
+    corners = gpu_types.GPUVertBuf(form, 4)
     corners.attr_fill("side", [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)])
-    return gpu.types.GPUBatch(type="TRI_STRIP", buf=corners)
+    return gpu_types.GPUBatch(type="TRI_STRIP", buf=corners)
 
 
 def forget() -> None:

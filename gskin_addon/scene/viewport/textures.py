@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Arrays as textures. Blender's Python has no storage buffers and cannot write into a texture: each change is a new one."""
+"""Arrays as textures.
+
+Blender's Python has no storage buffers and cannot write into a texture: each change makes a new one.
+"""
 
 from __future__ import annotations
 
@@ -7,18 +10,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import gpu
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.render.drawn_splats import DrawnSplats
-from .shaders import WIDTH
+from .shaders import WIDTH, gpu_types
 
 
 def _texture(values: NDArray[Any], width: int, height: int, form: str) -> Any:
     flat = np.ascontiguousarray(values, np.float32).reshape(-1)
-    buffer = gpu.types.Buffer("FLOAT", flat.size, flat)
-    return gpu.types.GPUTexture((width, height), format=form, data=buffer)
+    buffer = gpu_types.Buffer("FLOAT", flat.size, flat)
+    return gpu_types.GPUTexture((width, height), format=form, data=buffer)
 
 
 def _rows(count: int) -> int:
