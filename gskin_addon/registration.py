@@ -31,6 +31,7 @@ from .operators import (
     save_weights,
 )
 from .scene import follow_display, follow_transforms, handlers, helpers
+from .scene.viewport import handler as viewport_handler
 from .session import guidance_settings, properties, running_job
 from .ui import job_presets as job_presets_menu
 from .ui import panel, preferences, splat_panels
@@ -70,6 +71,7 @@ MODULES = (
     helpers,
     follow_transforms,
     follow_display,
+    viewport_handler,
 )
 
 

@@ -36,6 +36,9 @@ BONE = "gskin:bone_{}"
 """Index of the i-th strongest bone among the bone frames; -1 for none."""
 WEIGHT = "gskin:weight_{}"
 
+TURN = "gskin:turn"
+"""How the bones have turned each splat since rest; exists only on evaluated meshes."""
+
 CONFIDENCE = "gskin:confidence"
 """How sure the weights of each splat are, 0 to 1; exists where the method that made them knows."""
 
