@@ -40,6 +40,7 @@ from .operators import (
     smooth_weights,
 )
 from .scene import follow_display, follow_transforms, handlers, helpers, webp_images
+from .scene.viewport import handler as viewport_handler
 from .session import guidance_settings, live_pictures, properties, running_job
 from .ui import job_presets as job_presets_menu
 from .ui import manual, panel, preferences, splat_panels
@@ -91,6 +92,7 @@ MODULES = (
     helpers,
     follow_transforms,
     follow_display,
+    viewport_handler,
 )
 
 

@@ -8,6 +8,7 @@ Solid mode too; in renders they are instances of a sphere whose material fades l
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import bpy
@@ -20,6 +21,7 @@ from .materials import FAINTEST, render_material
 from .native_nodes import has_native_splats, native_splats
 from .node_builder import Tree, add_modifier, find_group, geometry_group, get_input, has_input, set_input
 from .octahedra import CORNERS, ensure_octahedra, octahedra_count
+from .viewport.nodes import shader_points
 
 VERSION = 4
 
@@ -92,7 +94,13 @@ DISPLAY_INPUTS = tuple(label for label, _, _ in _INPUTS)
 """Labels of what can be set, in the order of the modifier."""
 
 OCTAHEDRA = "Octahedra"
-_HIDDEN: list[tuple[str, str, dict[str, Any]]] = [(OCTAHEDRA, "NodeSocketObject", {"hide_in_modifier": True})]
+BY_SHADER = "Drawn by Shader"
+"""True while the shader of `viewport/` draws the object; nothing else sets it, and no saved file has it."""
+
+_HIDDEN: list[tuple[str, str, dict[str, Any]]] = [
+    (OCTAHEDRA, "NodeSocketObject", {"hide_in_modifier": True}),
+    (BY_SHADER, "NodeSocketBool", {"default_value": False, "hide_in_modifier": True}),
+]
 
 
 def display_group() -> bpy.types.NodeTree:
@@ -156,7 +164,7 @@ def _build(group: bpy.types.NodeTree) -> None:
 
     base = sampled(names.BASE, "FLOAT_COLOR")
     opacity = tree.output(tree.node("FunctionNodeSeparateColor", {"Color": base}), "Alpha")
-    shown_as = (tree.output(source, label) for label in (SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF))
+    shown_as = [tree.output(source, label) for label in (SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF)]
     color = splat_color(tree, sampled, *shown_as)
     points = tree.out("GeometryNodePoints", "Points", {"Count": shown, "Position": sampled("position", "FLOAT_VECTOR")})
 
@@ -199,6 +207,9 @@ def _build(group: bpy.types.NodeTree) -> None:
     reach = tree.math("SQRT", tree.math("MULTIPLY", tree.math("LOGARITHM", ratio, math.e), 2.0))
     soft = instances(sphere, tree.math("MULTIPLY", size, reach), tree.math("GREATER_THAN", reach, 0.0))
 
+    bare = shader_points(tree, splats, shown_as, partial(splat_color, tree))
+    inputs = {"Switch": tree.output(source, BY_SHADER), "False": solid, "True": bare}
+    solid = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
     inputs = {"Switch": in_viewport, "False": soft, "True": solid}
     drawn = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
     if has_native_splats():
