@@ -70,7 +70,7 @@ def _draw(
     value = z if straight else 1.0 / z
     ax, ay = x[:, 1] - x[:, 0], y[:, 1] - y[:, 0]
     bx, by = x[:, 2] - x[:, 0], y[:, 2] - y[:, 0]
-    area = ax * by - ay * bx
+    area: Floats = ax * by - ay * bx
     flat = np.abs(area) < 1e-12
     area = np.where(flat, 1.0, area)
     da, db = value[:, 1] - value[:, 0], value[:, 2] - value[:, 0]
