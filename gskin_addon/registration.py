@@ -9,6 +9,7 @@ import bpy
 
 from .operators import (
     anchor,
+    assign_to_bone,
     auto_skin,
     bind,
     cancel_runtime,
@@ -22,13 +23,18 @@ from .operators import (
     even_scale,
     export_glb,
     fix_rig_scale,
+    flood_weights,
+    follow_neighbours,
     import_splats,
     install_runtime,
     job_presets,
+    mirror_weights,
     place,
     remove_runtime,
     repair_runtime,
     save_weights,
+    sharpen_weights,
+    smooth_weights,
 )
 from .scene import follow_display, follow_transforms, handlers, helpers
 from .session import guidance_settings, properties, running_job
@@ -59,6 +65,12 @@ MODULES = (
     save_weights,
     export_glb,
     confidence,
+    smooth_weights,
+    sharpen_weights,
+    follow_neighbours,
+    assign_to_bone,
+    flood_weights,
+    mirror_weights,
     anchor,
     auto_skin,
     command_line,

@@ -64,6 +64,14 @@ class GSKIN_PT_weights(_Child, bpy.types.Panel):
         column.operator("gskin.bind_to_armature", icon="LINKED")
         column.operator("gskin.update_rotation_weights", icon="FILE_REFRESH")
         column.separator()
+        grid = column.grid_flow(columns=2, even_columns=True, row_major=True, align=True)
+        grid.operator("gskin.smooth_weights", text="Smooth")
+        grid.operator("gskin.sharpen_weights", text="Sharpen")
+        grid.operator("gskin.assign_to_bone", text="To Bone")
+        grid.operator("gskin.flood_weights", text="Flood")
+        grid.operator("gskin.follow_neighbours", text="Follow Neighbours")
+        grid.operator("gskin.mirror_weights", text="Mirror")
+        column.separator()
         if proxy_of(chosen_splats(context)) is None:
             column.operator("gskin.anchor_to_mesh", icon="MESH_DATA")
         else:
