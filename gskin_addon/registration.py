@@ -31,21 +31,23 @@ from .operators import (
     mirror_weights,
     place,
     remove_runtime,
+    render_splats,
     repair_runtime,
     save_weights,
     sharpen_weights,
     smooth_weights,
 )
 from .scene import follow_display, follow_transforms, handlers, helpers
-from .session import guidance_settings, properties, running_job
+from .session import guidance_settings, properties, render_settings, running_job
 from .ui import job_presets as job_presets_menu
-from .ui import panel, preferences, splat_panels
+from .ui import panel, preferences, render_panel, splat_panels
 
 # Each has CLASSES, HANDLERS (list of Blender, function) where it follows what happens, and register() and unregister()
 # where there is more to do.
 MODULES = (
     guidance_settings,
     properties,
+    render_settings,
     running_job,
     preferences,
     check_python,
@@ -73,10 +75,12 @@ MODULES = (
     mirror_weights,
     anchor,
     auto_skin,
+    render_splats,
     command_line,
     job_presets,
     job_presets_menu,
     panel,
+    render_panel,
     splat_panels,
     handlers,
     helpers,

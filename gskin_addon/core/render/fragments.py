@@ -45,7 +45,7 @@ def draw(
     on_progress is called with the share of the splats done, 0 to 1, after each run.
     """
     height, width = camera.size
-    flat = _flatten(means, quats, scales, opacities, camera)
+    flat = flatten(means, quats, scales, opacities, camera)
     keys = flat.pop("splat")
     canvas = _Canvas(height * width, limit)
     tint = np.asarray(colors, np.float32)[keys]
@@ -65,8 +65,12 @@ def draw(
     return Picture(canvas.color.reshape(height, width, 3), 1.0 - canvas.T.reshape(shape), canvas.depth.reshape(shape))
 
 
-def _flatten(means: Floats, quats: Floats, scales: Floats, opacities: Floats, camera: Camera) -> dict[str, Any]:
-    """Columns of the splats that show, near to far: conic a, b, c, log opacity k, mean x, y, depth, box, index."""
+def flatten(means: Floats, quats: Floats, scales: Floats, opacities: Floats, camera: Camera) -> dict[str, Any]:
+    """Columns (M,) of the M splats that show, near to far.
+
+    Inverse image covariance a, b, c, log opacity k, mean x, y in pixels, depth in metres; left, right, top, bottom of
+    the box of pixels, ends included; and which `splat` of the given ones it is.
+    """
     m, o = np.asarray(means, np.float64), np.asarray(opacities, np.float64)
     x, y, z = camera.to_camera(m).T
     splat = np.flatnonzero((o >= ALPHA_CUT) & (z > camera.near) & np.isfinite(x + y))

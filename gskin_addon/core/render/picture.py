@@ -29,3 +29,16 @@ class Picture:
         """The picture (H, W, 3) over an sRGB colour, blended in sRGB as splats are; clipped to 0..1."""
         behind = (1.0 - self.alpha)[..., None] * np.asarray(background, np.float32)
         return np.asarray(np.clip(self.color + behind, 0.0, 1.0), np.float32)
+
+
+def to_linear(srgb: Array) -> Array:
+    """sRGB decoded to linear light, any shape; values above 1 go on along the curve."""
+    dark = np.maximum(srgb, np.float32(0.0)) / np.float32(12.92)
+    bright = ((np.maximum(srgb, np.float32(0.04)) + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4)
+    return np.asarray(np.where(srgb <= 0.04045, dark, bright), np.float32)
+
+
+def to_srgb(linear: Array) -> Array:
+    """Linear light encoded as sRGB, any shape, clipped to 0..1."""
+    clipped = np.clip(linear, 0.0, 1.0)
+    return np.asarray(np.where(clipped <= 0.0031308, clipped * 12.92, 1.055 * clipped ** (1 / 2.4) - 0.055), np.float32)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import queue
 import subprocess
 import threading
@@ -27,6 +26,7 @@ from ..guidance.consent import with_consent
 from ..job.contract import Result, read_result
 from ..job.progress import ProgressEvent
 from .interpreter import VARIABLE, worker_environment
+from .spawn import spawn
 
 PROGRAM = Path(__file__).with_name("process.py")
 
@@ -90,19 +90,11 @@ class WorkerClient:
         """
         if self._process is not None:
             raise RuntimeError("a WorkerClient runs once")
-        isolated = ["-I"] if self._isolated else []
-        command = [str(self.python), *isolated, "-u", str(self._program), str(self.folder)]
-        flags: int = getattr(subprocess, "CREATE_NO_WINDOW", 0)
-        if self._gentle:
-            flags |= getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0)
+        environment = with_consent(worker_environment(), self._allow_download)
+        program = [str(self._program), str(self.folder)]
         try:
-            self._process = subprocess.Popen(
-                command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                env=with_consent(worker_environment(), self._allow_download),
-                creationflags=flags,
+            self._process = spawn(
+                self.python, program, environment, isolated=self._isolated, gentle=self._gentle
             )
         except OSError as error:
             raise InputError(
@@ -110,10 +102,6 @@ class WorkerClient:
                 "name a Python that has torch in the add-on's preferences.",
                 terminal=f"or {VARIABLE}",
             ) from error
-        if self._gentle and hasattr(os, "setpriority"):
-            # What the worker starts later inherits this.
-            with contextlib.suppress(OSError):
-                os.setpriority(os.PRIO_PROCESS, self._process.pid, 10)
         self.state = "running"
         log = threading.Thread(target=self._read_log, args=(self._process,), name="gskin-log", daemon=True)
         log.start()

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from dataclasses import replace
 
 import numpy as np
@@ -19,9 +20,20 @@ def orthographic(camera: Camera) -> Camera:
     return replace(camera, orthographic=True, fx=camera.fx / 3, fy=camera.fy / 3)
 
 
+def rasterisers():
+    """`draw` of numpy and, where there is one, of numba."""
+    found = [fragments.draw]
+    if importlib.util.find_spec("numba") is not None:
+        from gskin_addon.core.render.cpu import still
+
+        found.append(still.draw)
+    return found
+
+
 @pytest.mark.parametrize("parallel", [False, True])
 @pytest.mark.parametrize("name", SCENES)
-def test_as_the_reference(name, parallel, monkeypatch):
+@pytest.mark.parametrize("draw", rasterisers())
+def test_as_the_reference(draw, name, parallel, monkeypatch):
     torch = pytest.importorskip("torch")
     from gskin_addon.core.render import reference
 
@@ -46,28 +58,31 @@ def row_of_splats(depths, opacities, camera=None):
     return (means, quats, np.full((count, 3), 0.3), colors, np.array(opacities)), camera
 
 
-def test_depth_is_where_half_of_the_light_is_gone():
+@pytest.mark.parametrize("draw", rasterisers())
+def test_depth_is_where_half_of_the_light_is_gone(draw):
     splats, camera = row_of_splats([4.0, 2.0, 3.0], [0.9, 0.3, 0.6])
-    depth = fragments.draw(*splats, camera).depth
+    depth = draw(*splats, camera).depth
     assert depth[16, 16] == pytest.approx(3.0)  # 0.3, then 1 - 0.7 * 0.4
     assert np.isinf(depth[0, 0])
 
 
-def test_what_stands_before_a_splat_hides_it():
+@pytest.mark.parametrize("draw", rasterisers())
+def test_what_stands_before_a_splat_hides_it(draw):
     splats, camera = row_of_splats([2.0, 4.0], [0.5, 0.9])
     limit = np.full((32, 32), np.inf, np.float32)
     limit[:, :16], limit[:, 24:] = 3.0, 1.0
-    free, hidden = fragments.draw(*splats, camera), fragments.draw(*splats, camera, limit)
-    near = fragments.draw(*(array[:1] for array in splats), camera)
+    free, hidden = draw(*splats, camera), draw(*splats, camera, limit)
+    near = draw(*(array[:1] for array in splats), camera)
     assert np.allclose(hidden.color[:, 16:24], free.color[:, 16:24])
     assert np.allclose(hidden.color[:, :16], near.color[:, :16])
     assert near.alpha[16, 15] > 0.4
     assert not hidden.alpha[:, 24:].any()
 
 
-def test_nothing_to_draw_is_an_empty_picture():
+@pytest.mark.parametrize("draw", rasterisers())
+def test_nothing_to_draw_is_an_empty_picture(draw):
     splats, camera = row_of_splats([-1.0], [0.9])
-    picture = fragments.draw(*splats, camera)
+    picture = draw(*splats, camera)
     assert not picture.alpha.any()
     assert not picture.color.any()
     assert np.isinf(picture.depth).all()
