@@ -110,6 +110,8 @@ def read_splats(path: Path, drop_invalid: bool) -> SplatCloud:
     dropped = splats.total - splats.cloud.count
     if dropped:
         print_message(f"'{path}': {dropped:,} invalid splats of {splats.total:,} were left out.")
+    for note in splats.cloud.notes:
+        print_message(f"'{path}': {note}.")
     return splats.cloud
 
 

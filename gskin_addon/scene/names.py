@@ -45,6 +45,13 @@ CONFIDENCE = "gskin:confidence"
 SIDE = "gskin:side"
 """Label of a splat at a seam, 0 for none: splats with two labels belong to parts that touch but are not one."""
 
+COMPARED = "gskin_compared"
+"""Custom property of a splat mesh whose weights have a counterpart to compare with: a group with name (of what was
+before), shown ("before" or "result") and bones, those of the kept side."""
+KEPT_BONE = "gskin:kept_bone_{}"
+"""On the points: the side that is not shown. Index into these bones; what has weight 0 is empty."""
+KEPT_WEIGHT = "gskin:kept_weight_{}"
+
 COLOR = "gskin:color"
 """Linear colour and opacity of a drawn splat; exists only on the display geometry."""
 

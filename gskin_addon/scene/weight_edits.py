@@ -87,6 +87,11 @@ def iter_edit_weights(
     return count
 
 
+def locked_groups(obj: bpy.types.Object, bones: Collection[str]) -> list[str]:
+    """The bones whose vertex groups the artist has locked."""
+    return [name for name in bones if _is_locked(obj, name)]
+
+
 def _is_locked(obj: bpy.types.Object, group: str) -> bool:
     return group in obj.vertex_groups and obj.vertex_groups[group].lock_weight
 

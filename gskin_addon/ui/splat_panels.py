@@ -13,6 +13,14 @@ from ..scene.node_groups import DISPLAY_INPUTS, find_display
 from ..session.chosen import chosen_splats
 
 
+_EDITS = (
+    (("gskin.smooth_weights", "Smooth"), ("gskin.sharpen_weights", "Sharpen")),
+    (("gskin.assign_to_bone", "To Bone"), ("gskin.flood_weights", "Flood")),
+    (("gskin.follow_neighbours", "Follow Neighbours"), ("gskin.mirror_weights", "Mirror")),
+)
+"""Changes of the weights that are there, by operator and what its button says."""
+
+
 class _Child:
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
@@ -64,13 +72,14 @@ class GSKIN_PT_weights(_Child, bpy.types.Panel):
         column.operator("gskin.bind_to_armature", icon="LINKED")
         column.operator("gskin.update_rotation_weights", icon="FILE_REFRESH")
         column.separator()
-        grid = column.grid_flow(columns=2, even_columns=True, row_major=True, align=True)
-        grid.operator("gskin.smooth_weights", text="Smooth")
-        grid.operator("gskin.sharpen_weights", text="Sharpen")
-        grid.operator("gskin.assign_to_bone", text="To Bone")
-        grid.operator("gskin.flood_weights", text="Flood")
-        grid.operator("gskin.follow_neighbours", text="Follow Neighbours")
-        grid.operator("gskin.mirror_weights", text="Mirror")
+        for pair in _EDITS:
+            row = column.row(align=True)
+            for operator, text in pair:
+                row.operator(operator, text=text)
+        row = column.row(align=True)
+        row.operator("gskin.separate_parts", icon="MOD_EDGESPLIT")
+        row.operator("gskin.select_seams", text="", icon="RESTRICT_SELECT_OFF")
+        row.operator("gskin.clear_seams", text="", icon="X")
         column.separator()
         if proxy_of(chosen_splats(context)) is None:
             column.operator("gskin.anchor_to_mesh", icon="MESH_DATA")

@@ -6,7 +6,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -18,8 +18,10 @@ from ..errors import InputError
 from ..files import write_atomically
 from . import ply_codec as codec
 from .cloud import AnyArray, SplatCloud
+from .georeference import recentre
 from .ply_compressed import is_compressed, read_compressed
 from .ply_header import FORMATS, TYPE_NAMES, Element, Header, format_header, read_header
+from .ply_kinds import notes_of
 
 _CHUNK = 8192
 """Rows handled at once: small enough that a piece of the file stays in the processor's cache."""
@@ -107,7 +109,10 @@ def _splat_element(header: Header, path: Path) -> tuple[Element, int]:
     if vertex is None:
         raise InputError(f"{path} has no vertices; choose a Gaussian splat .ply file.")
     names = set(vertex.properties)
-    missing = [name for name in codec.REQUIRED if name not in names]
+    # Discs have two scales, balls one; a gap among them is a damaged file.
+    last = max((place for place, name in enumerate(codec.SCALES) if name in names), default=2)
+    needed = [name for name in codec.REQUIRED if name not in codec.SCALES[last + 1 :]]
+    missing = [name for name in needed if name not in names]
     face = header.element("face")
     is_mesh = face is not None and face.count > 0
     if missing and (is_mesh or names.isdisjoint(codec.REQUIRED[3:])):
@@ -139,7 +144,7 @@ def _read_splats(
 ) -> tuple[SplatCloud, NDArray[np.bool_]]:
     """All splats with their raw and extra columns, and True (N,) where a splat is valid."""
     pieces = _ascii_pieces if header.format == "ascii" else _binary_pieces
-    standard = set(codec.standard_names(rest)) - set(codec.NORMALS)
+    standard = {*codec.standard_names(rest), codec.FILTER} - set(codec.NORMALS)
     source = pieces(file, header, vertex, path)
     piece: AnyArray | None = next(source)  # checks the file's length before anything large is made
     cloud = codec.empty_cloud(vertex.count, rest)
@@ -150,19 +155,23 @@ def _read_splats(
             extra[name] = np.empty(vertex.count, code)
         elif codec.is_lossy(name, code):
             stored[name] = np.empty(vertex.count, code)
+    text = header.format == "ascii"
+    # Text may have more digits than its type says; centres need them far from the origin.
+    doubles = {name: np.empty(vertex.count) for name in codec.MEANS if text and name not in stored}
     valid = np.empty(vertex.count, dtype=bool)
     start = 0
     while piece is not None:
         rows = slice(start, start + len(piece))
         columns = {name: np.ascontiguousarray(piece[name]) for name in vertex.properties}
         valid[rows] = codec.decode_rows(columns, cloud, rows, rest)
-        for table in (extra, stored):
+        for table in (extra, stored, doubles):
             for name, column in table.items():
                 column[rows] = columns[name]
         start += len(piece)
         piece = next(source, None)
-    cloud = SplatCloud(cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.sh, extra, stored)
-    return cloud, valid
+    cloud = replace(cloud, extra=extra, stored=stored, notes=notes_of(vertex.properties))
+    doubles.update({name: stored[name] for name in codec.MEANS if name in stored})
+    return recentre(cloud, [doubles.get(name) for name in codec.MEANS], path), valid
 
 
 def _truncated(path: Path, expected: int, found: int) -> InputError:
@@ -198,7 +207,8 @@ def _ascii_pieces(file: BinaryIO, header: Header, vertex: Element, path: Path) -
         raise _truncated(path, vertex.count, possible)
     for _ in islice(file, sum(element.count for element in header.before(vertex.name))):
         pass
-    dtype = vertex.dtype("=")
+    codes = vertex.properties.items()
+    dtype = np.dtype([(name, "f8" if name in codec.MEANS else code) for name, code in codes])
     for start in range(0, vertex.count, _CHUNK):
         wanted = min(_CHUNK, vertex.count - start)
         lines = [line.decode("latin-1") for line in islice(file, wanted)]
@@ -245,9 +255,10 @@ def _file_dtype(cloud: SplatCloud, rest: int, order: str) -> np.dtype[Any]:
     """Row type of the file: INRIA order in float32 (doubles stay doubles), then the extra columns."""
     fields = []
     names = codec.standard_names(rest)
+    far = cloud.offset.any()
     for name in names:
         column = cloud.stored.get(name) if name not in codec.NORMALS else cloud.extra.get(name)
-        is_double = column is not None and column.dtype.str[1:] == "f8"
+        is_double = (far and name in codec.MEANS) or (column is not None and column.dtype.str[1:] == "f8")
         fields.append((name, order + ("f8" if is_double else "f4")))
     for name, column in cloud.extra.items():
         if name not in names:
