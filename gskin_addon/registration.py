@@ -33,6 +33,7 @@ from .operators import (
     mirror_weights,
     place,
     remove_runtime,
+    render_splats,
     repair_runtime,
     save_weights,
     separate_parts,
@@ -41,9 +42,9 @@ from .operators import (
 )
 from .scene import follow_display, follow_transforms, handlers, helpers, webp_images
 from .scene.viewport import handler as viewport_handler
-from .session import guidance_settings, live_pictures, properties, running_job
+from .session import guidance_settings, live_pictures, properties, render_settings, running_job
 from .ui import job_presets as job_presets_menu
-from .ui import manual, panel, preferences, splat_panels
+from .ui import manual, panel, preferences, render_panel, splat_panels
 
 # Each has CLASSES, HANDLERS (list of Blender, function) where it follows what happens, and register() and unregister()
 # where there is more to do.
@@ -51,6 +52,7 @@ MODULES = (
     webp_images,
     guidance_settings,
     properties,
+    render_settings,
     running_job,
     live_pictures,
     preferences,
@@ -82,10 +84,12 @@ MODULES = (
     compare,
     anchor,
     auto_skin,
+    render_splats,
     command_line,
     job_presets,
     job_presets_menu,
     panel,
+    render_panel,
     splat_panels,
     manual,
     handlers,

@@ -56,6 +56,8 @@ _ROOT = __package__.rpartition(".")[0]
 class SkinJob:
     """A worker busy for a splat object and an armature, known by session id because names may change."""
 
+    title = "Auto-Skin"
+
     client: WorkerClient
     splats: tuple[int, str]
     armature: tuple[int, str]
