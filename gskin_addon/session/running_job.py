@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import bpy
@@ -24,6 +25,10 @@ class Job(Protocol):
 
     @property
     def seconds_left(self) -> float | None: ...
+
+    @property
+    def pictures(self) -> Path | None:
+        """Folder of the pictures that show how far it is, if it makes any."""
 
     def cancel(self) -> None: ...
 

@@ -238,6 +238,11 @@ class SkinJob:
         return f"{words}; {len(locked)} locked groups stayed" if locked else words
 
     @property
+    def pictures(self) -> Path:
+        """Folder of the guidance and weights that the worker shows."""
+        return self.client.folder
+
+    @property
     def seconds_left(self) -> float | None:
         """The worker's estimate, counted down since it was made."""
         left = self.progress.seconds_left

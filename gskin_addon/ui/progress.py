@@ -25,7 +25,8 @@ def draw(layout: bpy.types.UILayout, width: int) -> None:
         event = job.progress
         layout.progress(factor=event.fraction, text=f"{event.fraction:.0%}  {time_left(job.seconds_left)}")
         layout.label(text="Stopping ..." if job.cancelling else event.message or event.stage.capitalize())
-        _draw_pictures(layout, live_pictures.icons(job.client.folder))
+        if job.pictures is not None:
+            _draw_pictures(layout, live_pictures.icons(job.pictures))
         for name, value in event.losses.items():
             row = layout.row()
             row.active = False
