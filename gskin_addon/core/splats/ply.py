@@ -69,7 +69,7 @@ def write_ply(path: str | os.PathLike[str], cloud: SplatCloud, *, fmt: str = "bi
     if fmt not in FORMATS:
         raise InputError(f"{fmt!r} is no PLY format; use one of {', '.join(FORMATS)}.")
     if cloud.count == 0:
-        raise InputError(f"{path}: there are no splats to write; select at least one.")
+        raise InputError(f"'{path}': there are no splats to write; select at least one.")
     rest = 3 * (cloud.sh.shape[1] - 1)
     dtype = _file_dtype(cloud, rest, FORMATS[fmt])
 
@@ -86,7 +86,7 @@ def _splat_element(header: Header, path: Path) -> tuple[Element, int]:
     """The vertex element of a splat file and its number of f_rest properties; InputError for other files."""
     vertex = header.element("vertex")
     if vertex is None:
-        raise InputError(f"{path} has no vertices; choose a Gaussian splat .ply file.")
+        raise InputError(f"'{path}' has no vertices; choose a Gaussian splat .ply file.")
     names = set(vertex.properties)
     # Discs have two scales, balls one; a gap among them is a damaged file.
     last = max((place for place, name in enumerate(codec.SCALES) if name in names), default=2)
@@ -97,24 +97,24 @@ def _splat_element(header: Header, path: Path) -> tuple[Element, int]:
     if missing and (is_mesh or names.isdisjoint(codec.REQUIRED[3:])):
         kind = "a mesh" if is_mesh else "a point cloud"
         raise InputError(
-            f"{path} is {kind}, not Gaussian splats (no {', '.join(missing[:6])}, ...); "
+            f"'{path}' is {kind}, not Gaussian splats (no {', '.join(missing[:6])}, ...); "
             "choose a .ply file from a 3D Gaussian splatting program."
         )
     if missing:
-        raise InputError(f"{path} lacks the splat properties {', '.join(missing)}; {_COMPLETE}.")
+        raise InputError(f"'{path}' lacks the splat properties {', '.join(missing)}; {_COMPLETE}.")
     if vertex.lists:
         raise InputError(
-            f"{path} has list properties in its vertices ({', '.join(vertex.lists)}); export it without them."
+            f"'{path}' has list properties in its vertices ({', '.join(vertex.lists)}); export it without them."
         )
     rest = sum(name.startswith("f_rest_") for name in names)
     gaps = [name for name in codec.rest_names(rest) if name not in names]
     if gaps:
-        raise InputError(f"{path} lacks the splat properties {', '.join(gaps[:5])}; {_COMPLETE}.")
+        raise InputError(f"'{path}' lacks the splat properties {', '.join(gaps[:5])}; {_COMPLETE}.")
     if rest not in codec.REST_COUNTS:
         counts = ", ".join(map(str, codec.REST_COUNTS))
-        raise InputError(f"{path} has {rest} f_rest properties, not {counts} (degree 0-4); export it again.")
+        raise InputError(f"'{path}' has {rest} f_rest properties, not {counts} (degree 0-4); export it again.")
     if vertex.count == 0:
-        raise InputError(f"{path} has no splats; export it again.")
+        raise InputError(f"'{path}' has no splats; export it again.")
     return vertex, rest
 
 
@@ -156,7 +156,7 @@ def _read_splats(
 
 def _truncated(path: Path, expected: int, found: int) -> InputError:
     return InputError(
-        f"{path} is cut off: its header announces {expected} splats, the file holds {found}; "
+        f"'{path}' is cut off: its header announces {expected} splats, the file holds {found}; "
         "copy or export it again."
     )
 
@@ -167,7 +167,7 @@ def _binary_pieces(file: BinaryIO, header: Header, vertex: Element, path: Path) 
     for element in header.before(vertex.name):
         if element.lists:
             raise InputError(
-                f"{path} has lists ({element.name}) before its vertices; export it with the vertices first."
+                f"'{path}' has lists ({element.name}) before its vertices; export it with the vertices first."
             )
         offset += element.count * element.dtype(header.order).itemsize
     dtype = vertex.dtype(header.order)
@@ -218,7 +218,7 @@ def _parse_lines(lines: list[str], columns: int, start: int, path: Path) -> NDAr
         words = line.split()
         if len(words) != columns:
             raise InputError(
-                f"{path}: splat {start + index} has {len(words)} values, expected {columns}; "
+                f"'{path}': splat {start + index} has {len(words)} values, expected {columns}; "
                 "the file is cut off or damaged, export it again."
             )
         for word in words:
@@ -226,9 +226,9 @@ def _parse_lines(lines: list[str], columns: int, start: int, path: Path) -> NDAr
                 float(word)
             except ValueError:
                 raise InputError(
-                    f"{path}: splat {start + index} holds {word[:20]!r}, not a number; export the file again."
+                    f"'{path}': splat {start + index} holds {word[:20]!r}, not a number; export the file again."
                 ) from None
-    raise InputError(f"{path} has vertex lines that cannot be read as numbers; export it again.")
+    raise InputError(f"'{path}' has vertex lines that cannot be read as numbers; export it again.")
 
 
 def _file_dtype(cloud: SplatCloud, rest: int, order: str) -> np.dtype[Any]:

@@ -47,7 +47,7 @@ def read_compressed(
     """All splats, and True (N,) where a splat is valid; InputError where the file is damaged."""
     if header.format != "binary_little_endian":
         raise InputError(
-            f"{path} is a compressed .ply in {header.format}; export it again as binary little endian."
+            f"'{path}' is a compressed .ply in {header.format}; export it again as binary little endian."
         )
     vertex, chunk, sh = header.element("vertex"), header.element("chunk"), header.element("sh")
     assert vertex is not None
@@ -55,9 +55,9 @@ def read_compressed(
     rest = 0 if sh is None else len(sh.properties)
     problem = _problem(vertex, chunk, sh, rest)
     if problem:
-        raise InputError(f"{path} is a damaged compressed .ply ({problem}); export it again.")
+        raise InputError(f"'{path}' is a damaged compressed .ply ({problem}); export it again.")
     if vertex.count == 0:
-        raise InputError(f"{path} has no splats; export it again.")
+        raise InputError(f"'{path}' has no splats; export it again.")
     tables = _map_elements(file, header, path)
     ranges = tables["chunk"]
     cloud = empty_cloud(vertex.count, rest)
@@ -95,12 +95,12 @@ def _map_elements(file: BinaryIO, header: Header, path: Path) -> dict[str, AnyAr
     tables: dict[str, AnyArray] = {}
     for element in header.elements:
         if element.lists:
-            raise InputError(f"{path} has list properties in '{element.name}'; export it without them.")
+            raise InputError(f"'{path}' has list properties in '{element.name}'; export it without them.")
         dtype = element.dtype(header.order)
         found = max(0, size - offset) // max(dtype.itemsize, 1)
         if found < element.count:
             raise InputError(
-                f"{path} is cut off: its header announces {element.count} rows of '{element.name}', "
+                f"'{path}' is cut off: its header announces {element.count} rows of '{element.name}', "
                 f"the file holds {found}; copy or export it again."
             )
         if element.count:
