@@ -196,7 +196,8 @@ def splat_gltf(count: int) -> dict:
 
 HUGE = 2**31 - 1
 PLY = ["ply", "format binary_little_endian 1.0", "element vertex 2147483648"]
-PLY += [f"property float {name}" for name in ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"]]
+PLY += [f"property float {name}" for name in ("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity")]
+PLY += [f"property float scale_{axis}" for axis in range(3)]
 PLY += [*(f"property float rot_{axis}" for axis in range(4)), "end_header"]
 
 
