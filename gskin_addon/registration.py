@@ -24,6 +24,7 @@ from .operators import (
     enable_deform,
     even_scale,
     export_glb,
+    fabric,
     fix_rig_scale,
     flood_weights,
     follow_neighbours,
@@ -40,7 +41,7 @@ from .operators import (
     sharpen_weights,
     smooth_weights,
 )
-from .scene import follow_display, follow_transforms, handlers, helpers, webp_images
+from .scene import fabric_view, follow_display, follow_transforms, handlers, helpers, webp_images
 from .scene.viewport import handler as viewport_handler
 from .session import guidance_settings, live_pictures, properties, render_settings, running_job
 from .ui import job_presets as job_presets_menu
@@ -81,6 +82,7 @@ MODULES = (
     mirror_weights,
     blend_weights,
     separate_parts,
+    fabric,
     compare,
     anchor,
     auto_skin,
@@ -97,6 +99,7 @@ MODULES = (
     follow_transforms,
     follow_display,
     viewport_handler,
+    fabric_view,
 )
 
 

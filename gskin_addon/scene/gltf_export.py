@@ -24,6 +24,7 @@ from ..core.splats import gltf
 from ..core.splats.axes import rotate_cloud
 from ..core.splats.cloud import SplatCloud
 from .bone_frames import armature_of
+from .fabric import bring_fabrics_back, lay_fabrics_aside
 from .splat_object import is_splat_object, read_cloud
 
 _EXPORTER = "io_scene_gltf2"
@@ -153,7 +154,8 @@ def _last_error(error: RuntimeError) -> str:
 
 
 def hide_nodes() -> None:
-    """Switch off the Geometry Nodes modifiers of all splat objects, until `show_nodes`."""
+    """Switch off the Geometry Nodes modifiers of all splat objects and lay their fabrics aside, until `show_nodes`."""
+    lay_fabrics_aside()
     for obj in bpy.data.objects:
         if is_splat_object(obj):
             for modifier in obj.modifiers:
@@ -163,7 +165,8 @@ def hide_nodes() -> None:
 
 
 def show_nodes() -> None:
-    """Switch on what `hide_nodes` switched off."""
+    """Switch on what `hide_nodes` switched off, and bring the fabrics back."""
+    bring_fabrics_back()
     if not _hidden:
         return
     present = {obj.name: obj for obj in bpy.data.objects if is_splat_object(obj)}
