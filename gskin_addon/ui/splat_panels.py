@@ -8,6 +8,7 @@ import bpy
 from ..scene import names
 from ..scene.anchored import proxy_of
 from ..scene.display_colors import SHOW_CONFIDENCE, SHOW_WEIGHTS_OF
+from ..scene.fabric import has_fabric
 from ..scene.node_builder import has_input, input_property
 from ..scene.node_groups import DISPLAY_INPUTS, find_display
 from ..session.chosen import chosen_splats
@@ -81,6 +82,8 @@ class GSKIN_PT_weights(_Child, bpy.types.Panel):
         row.operator("gskin.clear_seams", text="", icon="X")
         column.operator("gskin.refine_selected", icon="MOD_ARMATURE")
         row = column.row(align=True)
+        if chosen_splats(context).mode == "WEIGHT_PAINT" and not has_fabric(chosen_splats(context)):
+            column.label(text="Brushes need a fabric under the splats", icon="INFO")
         row.operator("gskin.make_paintable", icon="WPAINT_HLT")
         row.operator("gskin.remove_fabric", text="", icon="X")
         column.separator()

@@ -155,3 +155,10 @@ def test_blenders_own_smooth_and_select_more_work(scene):
     bpy.ops.mesh.select_more()
     bpy.ops.object.mode_set(mode="OBJECT")
     assert 3 < sum(v.select for v in obj.data.vertices) < 30
+
+
+def test_edit_mode_selects_on_the_posed_figure(scene):
+    obj, _ = scene
+    modifier = next(modifier for modifier in obj.modifiers if modifier.type == "ARMATURE")
+    assert modifier.show_in_editmode
+    assert modifier.show_on_cage

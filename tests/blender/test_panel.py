@@ -399,7 +399,7 @@ def running(folder) -> SimpleNamespace:
     """A job half done in `folder`."""
     return SimpleNamespace(
         progress=SimpleNamespace(fraction=0.5, message="Weights", stage="initial", losses={"l1": 0.1}),
-        seconds_left=3.0, cancelling=False, cancel=lambda: None, client=SimpleNamespace(folder=folder),
+        seconds_left=3.0, cancelling=False, cancel=lambda: None, pictures=folder,
     )  # fmt: skip
 
 
