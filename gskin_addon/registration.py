@@ -41,11 +41,12 @@ from .operators import (
 from .scene import follow_display, follow_transforms, handlers, helpers
 from .session import guidance_settings, live_pictures, properties, running_job
 from .ui import job_presets as job_presets_menu
-from .ui import manual, panel, preferences, splat_panels
+from .ui import manual, panel, preferences, splat_panels, translations
 
 # Each has CLASSES, HANDLERS (list of Blender, function) where it follows what happens, and register() and unregister()
 # where there is more to do.
 MODULES = (
+    translations,
     guidance_settings,
     properties,
     running_job,

@@ -12,6 +12,7 @@ from ..session.properties import GSkinSettings
 from ..session.running_job import state
 from . import arrival, check_list, guidance, progress
 from .job_presets import GSKIN_PT_job_presets
+from .translations import BUTTON, tr
 
 
 class GSKIN_PT_main(bpy.types.Panel):
@@ -46,7 +47,8 @@ class GSKIN_PT_main(bpy.types.Panel):
             row = layout.row()
             row.scale_y = 1.6
             time = expected_time(context)
-            text = f"Auto-Skin Gaussians ({time})" if time else "Auto-Skin Gaussians"
+            text = tr("Auto-Skin Gaussians", BUTTON)
+            text = f"{text} ({time.replace('about', tr('about'))})" if time else text
             row.operator("gskin.auto_skin", text=text, icon="MOD_ARMATURE")
         progress.draw(layout, context.region.width if context.region is not None else 300)
         if state.job is None:
@@ -76,7 +78,7 @@ class GSKIN_PT_main(bpy.types.Panel):
         if names:
             row = layout.row()
             row.active = False
-            row.label(text="Selected: " + ", ".join(names))
+            row.label(text=tr("Selected: {names}").format(names=", ".join(names)))
 
 
 CLASSES = (GSKIN_PT_main,)

@@ -13,6 +13,7 @@ from ..scene.compared import compared
 from ..session import live_pictures
 from ..session.confidence import spread_of
 from ..session.running_job import state
+from .translations import BUTTON, tr
 
 SURE_AT_ALL = 0.995
 """From this share on, that nearly all splats are sure at all says nothing."""
@@ -23,7 +24,7 @@ def draw(layout: bpy.types.UILayout, width: int) -> None:
     job = state.job
     if job is not None:
         event = job.progress
-        layout.progress(factor=event.fraction, text=f"{event.fraction:.0%}  {time_left(job.seconds_left)}")
+        layout.progress(factor=event.fraction, text=f"{event.fraction:.0%}  {_time_left(job.seconds_left)}")
         layout.label(text="Stopping ..." if job.cancelling else event.message or event.stage.capitalize())
         _draw_pictures(layout, live_pictures.icons(job.client.folder))
         for name, value in event.losses.items():
@@ -35,7 +36,7 @@ def draw(layout: bpy.types.UILayout, width: int) -> None:
     elif state.outcome:
         box = layout.box().column(align=True)
         icon: Any = "ERROR" if state.failed else "INFO"
-        for text in wrap(state.outcome, width):
+        for text in wrap(tr(state.outcome), width):
             box.label(text=text, icon=icon)
             icon = "BLANK1"
         if state.details:
@@ -58,7 +59,8 @@ def draw_comparison(layout: bpy.types.UILayout, splats: bpy.types.Object | None)
         return
     name, shown = now
     row = layout.row(align=True)
-    for side, text in (("before", name[:1].upper() + name[1:]), ("result", "Learned")):
+    before = tr("Bone heat", BUTTON) if name == "bone heat" else tr("Initial weights", BUTTON)
+    for side, text in (("before", before), ("result", tr("Learned", BUTTON))):
         row.operator("gskin.compare_weights", text=text, depress=shown == side).show = side.upper()
 
 
@@ -72,14 +74,25 @@ def draw_confidence(layout: bpy.types.UILayout, splats: bpy.types.Object | None)
     if spread is None or (now is not None and now[1] == "before"):
         return
     column = layout.box().column(align=True)
-    sure = f"{spread.sure:.0%} of the splats are sure" if spread.sure < SURE_AT_ALL else "How sure the weights are"
-    column.label(text=sure)
+    if spread.sure < SURE_AT_ALL:
+        column.label(text=tr("{share} of the splats are sure").format(share=f"{spread.sure:.0%}"))
+    else:
+        column.label(text="How sure the weights are")
     for share, below in spread.worst.items():
         row = column.row(align=True)
-        row.progress(factor=below, text=f"Least sure {share:.0%}: below {below:.0%}")
+        text = tr("Least sure {share}: below {bound}").format(share=f"{share:.0%}", bound=f"{below:.0%}")
+        row.progress(factor=below, text=text)
         select = row.operator("gskin.select_unsure_splats", text="", icon="RESTRICT_SELECT_OFF")
         select.worst, select.below = 100 * share, 0.0
-    column.progress(factor=spread.median, text=f"Half of them: above {spread.median:.0%}")
+    half = tr("Half of them: above {bound}").format(bound=f"{spread.median:.0%}")
+    column.progress(factor=spread.median, text=half)
+
+
+def _time_left(seconds: float | None) -> str:
+    words = time_left(seconds)
+    if seconds is None:
+        return tr("estimating time")
+    return tr("{time} left").format(time=words.removesuffix(" left"))
 
 
 def wrap(text: str, width: int) -> list[str]:
