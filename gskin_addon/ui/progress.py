@@ -26,7 +26,8 @@ def draw(layout: bpy.types.UILayout, width: int) -> None:
         event = job.progress
         layout.progress(factor=event.fraction, text=f"{event.fraction:.0%}  {_time_left(job.seconds_left)}")
         layout.label(text="Stopping ..." if job.cancelling else event.message or event.stage.capitalize())
-        _draw_pictures(layout, live_pictures.icons(job.client.folder))
+        if job.pictures is not None:
+            _draw_pictures(layout, live_pictures.icons(job.pictures))
         for name, value in event.losses.items():
             row = layout.row()
             row.active = False
@@ -62,6 +63,7 @@ def draw_comparison(layout: bpy.types.UILayout, splats: bpy.types.Object | None)
     before = tr("Bone heat", BUTTON) if name == "bone heat" else tr("Initial weights", BUTTON)
     for side, text in (("before", before), ("result", tr("Learned", BUTTON))):
         row.operator("gskin.compare_weights", text=text, depress=shown == side).show = side.upper()
+    row.operator("gskin.blend_weights", text="", icon="OVERLAY")
 
 
 def draw_confidence(layout: bpy.types.UILayout, splats: bpy.types.Object | None) -> None:

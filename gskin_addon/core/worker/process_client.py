@@ -18,6 +18,7 @@ from typing import Any, Literal
 
 from ..errors import Cancelled
 from ..job.progress import ProgressEvent
+from .spawn import spawn
 
 State = Literal["new", "running", "done", "failed", "cancelled"]
 
@@ -62,20 +63,10 @@ class ProcessClient(ABC):
         """
         if self._process is not None:
             raise RuntimeError(f"a {type(self).__name__} runs once")
-        flags: int = getattr(subprocess, "CREATE_NO_WINDOW", 0)
-        if self._gentle:
-            flags |= getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0)
         try:
-            self._process = subprocess.Popen(
-                self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                env=self._environment, start_new_session=self._group and os.name == "posix", creationflags=flags,
-            )  # fmt: skip
+            self._process = spawn(self._command, self._environment, gentle=self._gentle, group=self._group)
         except OSError as error:
             raise self._cannot_start(error) from error
-        if self._gentle and hasattr(os, "setpriority"):
-            # What the process starts later inherits this.
-            with contextlib.suppress(OSError):
-                os.setpriority(os.PRIO_PROCESS, self._process.pid, 10)
         self.state = "running"
         log = threading.Thread(target=self._read_log, args=(self._process,), name="gskin-log", daemon=True)
         log.start()
