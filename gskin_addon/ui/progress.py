@@ -10,6 +10,7 @@ import bpy
 
 from ..core.job.progress_text import time_left
 from ..scene.compared import compared
+from ..scene.proxy_object import followed_armature
 from ..session import live_pictures
 from ..session.confidence import spread_of
 from ..session.running_job import state
@@ -51,6 +52,13 @@ def _draw_pictures(layout: bpy.types.UILayout, pictures: list[tuple[str, int]]) 
         column = row.column()
         column.template_icon(icon_value=icon, scale=7.0)
         column.label(text=name)
+
+
+def draw_posing(layout: bpy.types.UILayout, splats: bpy.types.Object | None) -> None:
+    """The way to the rig that moves the splats; nothing where none does, or where it is being posed."""
+    armature = None if splats is None else followed_armature(splats)
+    if armature is not None and armature.mode != "POSE":
+        layout.operator("gskin.pose_rig", icon="POSE_HLT")
 
 
 def draw_comparison(layout: bpy.types.UILayout, splats: bpy.types.Object | None) -> None:
