@@ -33,6 +33,7 @@ from .operators import (
     job_presets,
     mirror_weights,
     place,
+    pose_rig,
     remove_runtime,
     render_splats,
     repair_runtime,
@@ -45,11 +46,12 @@ from .scene import fabric_view, follow_display, follow_transforms, handlers, hel
 from .scene.viewport import handler as viewport_handler
 from .session import guidance_settings, live_pictures, properties, render_settings, running_job
 from .ui import job_presets as job_presets_menu
-from .ui import manual, panel, preferences, render_panel, splat_panels
+from .ui import manual, panel, preferences, render_panel, splat_panels, translations
 
 # Each has CLASSES, HANDLERS (list of Blender, function) where it follows what happens, and register() and unregister()
 # where there is more to do.
 MODULES = (
+    translations,
     webp_images,
     guidance_settings,
     properties,
@@ -84,6 +86,7 @@ MODULES = (
     separate_parts,
     fabric,
     compare,
+    pose_rig,
     anchor,
     auto_skin,
     render_splats,

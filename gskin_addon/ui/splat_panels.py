@@ -12,6 +12,7 @@ from ..scene.fabric import has_fabric
 from ..scene.node_builder import has_input, input_property
 from ..scene.node_groups import DISPLAY_INPUTS, find_display
 from ..session.chosen import chosen_splats
+from .translations import BUTTON, tr
 
 _EDITS = (
     (("gskin.smooth_weights", "Smooth"), ("gskin.sharpen_weights", "Sharpen")),
@@ -75,7 +76,7 @@ class GSKIN_PT_weights(_Child, bpy.types.Panel):
         for pair in _EDITS:
             row = column.row(align=True)
             for operator, text in pair:
-                row.operator(operator, text=text)
+                row.operator(operator, text=tr(text, BUTTON))
         row = column.row(align=True)
         row.operator("gskin.separate_parts", icon="MOD_EDGESPLIT")
         row.operator("gskin.select_seams", text="", icon="RESTRICT_SELECT_OFF")

@@ -463,6 +463,27 @@ def test_the_two_sides_of_the_weights_are_a_toggle(scene, splats, armature):
     assert lines[row : row + 2] == ["gskin.compare_weights: Bone heat", "gskin.compare_weights: Learned"]
 
 
+def test_a_click_leads_to_the_rig(scene, splats, armature):
+    assert "gskin.pose_rig" not in drawn()
+    with pytest.raises(RuntimeError, match="follow an armature"):
+        bpy.ops.gskin.pose_rig()
+    bind(splats, armature)
+    bpy.context.view_layer.objects.active = splats
+    splats.select_set(True)
+    assert "gskin.pose_rig" in drawn()
+    assert bpy.ops.gskin.pose_rig() == {"FINISHED"}
+    assert (bpy.context.mode, bpy.context.active_object) == ("POSE", armature)
+    assert armature.show_in_front
+    assert not splats.select_get()
+    assert "gskin.pose_rig" not in drawn()
+    with pytest.raises(RuntimeError, match="Pose Mode already"):
+        bpy.ops.gskin.pose_rig()
+    bpy.ops.object.mode_set(mode="OBJECT")
+    armature.hide_set(True)
+    with pytest.raises(RuntimeError, match="'Rig' is hidden"):
+        bpy.ops.gskin.pose_rig()
+
+
 def test_the_weights_panel_has_a_click_for_each_way(scene, splats, armature):
     lines = drawn(splat_panels.GSKIN_PT_weights)
     assert {"gskin.load_weights: Load...", "gskin.save_weights: Save...", "gskin.anchor_to_mesh"} <= set(lines)
