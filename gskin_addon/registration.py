@@ -27,10 +27,12 @@ from .operators import (
     job_presets,
     place,
     remove_runtime,
+    renew_display,
     repair_runtime,
     save_weights,
 )
 from .scene import follow_display, follow_transforms, handlers, helpers
+from .scene.viewport import following as viewport_following
 from .scene.viewport import handler as viewport_handler
 from .session import guidance_settings, properties, running_job
 from .ui import job_presets as job_presets_menu
@@ -56,6 +58,7 @@ MODULES = (
     center_rig,
     check_again,
     cleanup,
+    renew_display,
     bind,
     save_weights,
     export_glb,
@@ -72,6 +75,7 @@ MODULES = (
     follow_transforms,
     follow_display,
     viewport_handler,
+    viewport_following,
 )
 
 

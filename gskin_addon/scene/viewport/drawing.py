@@ -112,7 +112,7 @@ def draw_splats(
     order, colors = arrange(data, view, projection)
     draw_into(
         target, pose_textures(data), [splats.matrix for splats in data], order_texture(order),
-        color_texture(data, colors), view, projection,
-        depths=None if depth is None else image_texture(depth[::-1]),
+        color_texture([(rgb, splats.opacities) for splats, rgb in zip(data, colors, strict=True)]),
+        view, projection, depths=None if depth is None else image_texture(depth[::-1]),
     )  # fmt: skip
     return read_target(target)[::-1]
