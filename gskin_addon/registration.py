@@ -9,41 +9,54 @@ import bpy
 
 from .operators import (
     anchor,
+    assign_to_bone,
     auto_skin,
     bind,
+    blend_weights,
     cancel_runtime,
     center_rig,
     check_again,
     check_python,
     cleanup,
     command_line,
+    compare,
     confidence,
     enable_deform,
     even_scale,
     export_glb,
     fix_rig_scale,
+    flood_weights,
+    follow_neighbours,
     import_splats,
     install_runtime,
     job_presets,
+    mirror_weights,
     place,
     remove_runtime,
+    render_splats,
     renew_display,
     repair_runtime,
     save_weights,
+    separate_parts,
+    sharpen_weights,
+    smooth_weights,
 )
-from .scene import follow_display, follow_transforms, handlers, helpers
+from .scene import follow_display, follow_transforms, handlers, helpers, webp_images
 from .scene.viewport import following as viewport_following
 from .scene.viewport import handler as viewport_handler
-from .session import guidance_settings, properties, running_job
+from .session import guidance_settings, live_pictures, properties, render_settings, running_job
 from .ui import job_presets as job_presets_menu
-from .ui import panel, preferences, splat_panels
+from .ui import manual, panel, preferences, render_panel, splat_panels
 
 # Each has CLASSES, HANDLERS (list of Blender, function) where it follows what happens, and register() and unregister()
 # where there is more to do.
 MODULES = (
+    webp_images,
     guidance_settings,
     properties,
+    render_settings,
     running_job,
+    live_pictures,
     preferences,
     check_python,
     install_runtime,
@@ -63,13 +76,25 @@ MODULES = (
     save_weights,
     export_glb,
     confidence,
+    smooth_weights,
+    sharpen_weights,
+    follow_neighbours,
+    assign_to_bone,
+    flood_weights,
+    mirror_weights,
+    blend_weights,
+    separate_parts,
+    compare,
     anchor,
     auto_skin,
+    render_splats,
     command_line,
     job_presets,
     job_presets_menu,
     panel,
+    render_panel,
     splat_panels,
+    manual,
     handlers,
     helpers,
     follow_transforms,

@@ -31,7 +31,6 @@ from .console import print_message
 from .paths import check_output, same_file
 
 if TYPE_CHECKING:
-    import bpy
     from numpy.typing import NDArray
 
     Array = NDArray[Any]
@@ -68,17 +67,23 @@ def run(options: argparse.Namespace) -> None:
     require_bpy()
     from ..scene import names, rig_files
     from ..scene.armature import read_skeleton
+    from ..scene.placement import bring_rig, fits_in_file
     from ..scene.proxy_object import create_mesh_object
     from ..scene.splat_object import create_splat_object
     from ..session.skin_job import SkinJob
+    from .save import save_rigged
 
     rig_files.empty_scene()
     armature = rig_files.import_armature(options.armature, options.armature_name)
     up, assumed = resolve_up(options.ply_up, cloud, read_skeleton(armature))
     if assumed:
         print_message(f"'{options.splats}': {assumed}.")
-    splats = create_splat_object(rotate_cloud(cloud, up_rotation(up)), options.splats.stem)
+    turned = rotate_cloud(cloud, up_rotation(up))
+    splats = create_splat_object(turned, options.splats.stem)
     splats.data[names.MARK]["up"] = up
+    if fits_in_file(turned, read_skeleton(armature)):
+        bring_rig(armature, -turned.offset)
+        print_message(f"Armature '{armature.name}' stands where the file has the splats, and was moved with them.")
     proxy = None if mesh is None else create_mesh_object(options.mesh.stem, *mesh)
     # glTF knows no anchors: there the splats keep weights of their own, blended from the mesh's.
     anchored = options.out.suffix.lower() == ".blend"
@@ -100,7 +105,7 @@ def run(options: argparse.Namespace) -> None:
             with replaced(options.weights) as temporary:
                 shutil.copyfile(job.client.folder / WEIGHTS, temporary)
         sentence = job.apply()
-        _save(options.out, splats)
+        save_rigged(options.out, splats)
     print_message(f"{sentence}, in '{options.out}'.")
 
 
@@ -110,6 +115,8 @@ def read_splats(path: Path, drop_invalid: bool) -> SplatCloud:
     dropped = splats.total - splats.cloud.count
     if dropped:
         print_message(f"'{path}': {dropped:,} invalid splats of {splats.total:,} were left out.")
+    for note in splats.cloud.notes:
+        print_message(f"'{path}': {note}.")
     return splats.cloud
 
 
@@ -161,17 +168,6 @@ def guidance_options(options: argparse.Namespace) -> dict[str, Any]:
             values[name] = text  # a folder called 7 is still a name
     check_models(options.guidance, values)
     return with_absolute_folders(options.guidance, values)
-
-
-def _save(out: Path, obj: bpy.types.Object) -> None:
-    from ..scene import rig_files
-
-    if out.suffix.lower() == ".glb":
-        from ..scene.gltf_export import export_glb
-
-        export_glb(out, [obj])
-    else:
-        rig_files.save_blend(out)
 
 
 @contextlib.contextmanager

@@ -115,6 +115,7 @@ class GSKIN_OT_import_splats(bpy.types.Operator, ImportHelper):
                 words.append(f"not moved, '{within.name}' lies within them")
             else:
                 place_on_floor(obj)
+        words += cloud.notes
         if splats.dropped:
             words.append(f"{splats.dropped:,} invalid splats left out")
         self.report({"WARNING" if splats.dropped else "INFO"}, "; ".join(words))

@@ -9,8 +9,13 @@ from typing import Any
 import bpy
 
 from ..core.job.progress_text import time_left
-from ..session.confidence import sure_share
+from ..scene.compared import compared
+from ..session import live_pictures
+from ..session.confidence import spread_of
 from ..session.running_job import state
+
+SURE_AT_ALL = 0.995
+"""From this share on, that nearly all splats are sure at all says nothing."""
 
 
 def draw(layout: bpy.types.UILayout, width: int) -> None:
@@ -20,6 +25,8 @@ def draw(layout: bpy.types.UILayout, width: int) -> None:
         event = job.progress
         layout.progress(factor=event.fraction, text=f"{event.fraction:.0%}  {time_left(job.seconds_left)}")
         layout.label(text="Stopping ..." if job.cancelling else event.message or event.stage.capitalize())
+        if job.pictures is not None:
+            _draw_pictures(layout, live_pictures.icons(job.pictures))
         for name, value in event.losses.items():
             row = layout.row()
             row.active = False
@@ -36,14 +43,45 @@ def draw(layout: bpy.types.UILayout, width: int) -> None:
             box.label(text="The details are in the system console", icon="BLANK1")
 
 
-def draw_confidence(layout: bpy.types.UILayout, splats: bpy.types.Object | None) -> None:
-    """A bar of how many splats have sure weights, and the click that shows the others; nothing where none knows."""
-    share = None if splats is None else sure_share(splats)
-    if share is None:
+def _draw_pictures(layout: bpy.types.UILayout, pictures: list[tuple[str, int]]) -> None:
+    """The newest pictures of the running job side by side, with their names."""
+    row = layout.row()
+    for name, icon in pictures:
+        column = row.column()
+        column.template_icon(icon_value=icon, scale=7.0)
+        column.label(text=name)
+
+
+def draw_comparison(layout: bpy.types.UILayout, splats: bpy.types.Object | None) -> None:
+    """The two sides of the weights, the shown one pressed in; nothing where there is nothing to compare with."""
+    now = None if splats is None else compared(splats)
+    if now is None:
         return
+    name, shown = now
     row = layout.row(align=True)
-    row.progress(factor=share, text=f"{share:.0%} of the splats are sure")
-    row.operator("gskin.select_unsure_splats", text="", icon="RESTRICT_SELECT_OFF")
+    for side, text in (("before", name[:1].upper() + name[1:]), ("result", "Learned")):
+        row.operator("gskin.compare_weights", text=text, depress=shown == side).show = side.upper()
+    row.operator("gskin.blend_weights", text="", icon="OVERLAY")
+
+
+def draw_confidence(layout: bpy.types.UILayout, splats: bpy.types.Object | None) -> None:
+    """How sure the least sure splats are and how sure half of them is, and clicks that show the former.
+
+    Nothing where no splat knows, or where the weights that are shown are those from before learning.
+    """
+    spread = None if splats is None else spread_of(splats)
+    now = None if spread is None else compared(splats)
+    if spread is None or (now is not None and now[1] == "before"):
+        return
+    column = layout.box().column(align=True)
+    sure = f"{spread.sure:.0%} of the splats are sure" if spread.sure < SURE_AT_ALL else "How sure the weights are"
+    column.label(text=sure)
+    for share, below in spread.worst.items():
+        row = column.row(align=True)
+        row.progress(factor=below, text=f"Least sure {share:.0%}: below {below:.0%}")
+        select = row.operator("gskin.select_unsure_splats", text="", icon="RESTRICT_SELECT_OFF")
+        select.worst, select.below = 100 * share, 0.0
+    column.progress(factor=spread.median, text=f"Half of them: above {spread.median:.0%}")
 
 
 def wrap(text: str, width: int) -> list[str]:

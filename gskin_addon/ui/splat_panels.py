@@ -15,6 +15,13 @@ from ..scene.node_groups import BY_SHADER, DISPLAY_INPUTS, find_display
 from ..scene.viewport import switch
 from ..session.chosen import chosen_splats
 
+_EDITS = (
+    (("gskin.smooth_weights", "Smooth"), ("gskin.sharpen_weights", "Sharpen")),
+    (("gskin.assign_to_bone", "To Bone"), ("gskin.flood_weights", "Flood")),
+    (("gskin.follow_neighbours", "Follow Neighbours"), ("gskin.mirror_weights", "Mirror")),
+)
+"""Changes of the weights that are there, by operator and what its button says."""
+
 
 class _Child:
     bl_space_type = "VIEW_3D"
@@ -54,6 +61,8 @@ class GSKIN_PT_display(_Child, bpy.types.Panel):
 
 def _draw_true_splats(context: bpy.types.Context, splats: bpy.types.Object, layout: bpy.types.UILayout) -> None:
     """The switch between splats and ellipsoids, and why there may be ellipsoids all the same."""
+    if switch.is_native(find_display(splats)):
+        return
     layout.prop(context.scene, "gskin_draw_splats")
     if not switch.setting(context.scene):
         return
@@ -82,6 +91,16 @@ class GSKIN_PT_weights(_Child, bpy.types.Panel):
         row.operator("gskin.save_weights", text="Save...", icon="FILE_TICK")
         column.operator("gskin.bind_to_armature", icon="LINKED")
         column.operator("gskin.update_rotation_weights", icon="FILE_REFRESH")
+        column.separator()
+        for pair in _EDITS:
+            row = column.row(align=True)
+            for operator, text in pair:
+                row.operator(operator, text=text)
+        row = column.row(align=True)
+        row.operator("gskin.separate_parts", icon="MOD_EDGESPLIT")
+        row.operator("gskin.select_seams", text="", icon="RESTRICT_SELECT_OFF")
+        row.operator("gskin.clear_seams", text="", icon="X")
+        column.operator("gskin.refine_selected", icon="MOD_ARMATURE")
         column.separator()
         if proxy_of(chosen_splats(context)) is None:
             column.operator("gskin.anchor_to_mesh", icon="MESH_DATA")

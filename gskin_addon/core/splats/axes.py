@@ -76,4 +76,6 @@ def rotate_cloud(cloud: SplatCloud, R: Floats) -> SplatCloud:
         quats=turn_quats(rotation_quat(R), cloud.quats),
         sh=rotate_sh(cloud.sh, R),
         extra=extra,
+        offset=R @ cloud.offset,
+        up="",
     )
