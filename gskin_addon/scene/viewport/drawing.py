@@ -85,8 +85,8 @@ def draw_into(
 
 def read_target(target: Target) -> NDArray[np.float32]:
     """The target's pixels (H, W, 4), premultiplied sRGB and alpha; the first row is the lowest."""
-    with target.framebuffer.bind():
-        buffer = target.framebuffer.read_color(0, 0, target.width, target.height, 4, 0, "FLOAT")
+    # The texture and not the framebuffer, which belongs to the context that made it: a window's, or the drawing's own.
+    buffer = target.texture.read()
     buffer.dimensions = target.width * target.height * 4
     return np.array(buffer, np.float32).reshape(target.height, target.width, 4)
 
