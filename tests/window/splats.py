@@ -181,8 +181,8 @@ def hiding(stage: Stage, studio: Studio) -> Story:
     space = studio.view.space
     space.overlay.show_overlays, space.overlay.show_floor = True, False
     space.overlay.show_axis_x = space.overlay.show_axis_y = space.overlay.show_cursor = space.overlay.show_text = False
-    for other in bpy.context.view_layer.objects:
-        other.select_set(False)
+    with studio.view.override():
+        bpy.ops.object.select_all(action="DESELECT")
     yield from studio.picture("s11_no_bones")
     rig.hide_set(False)
     rig.show_in_front, rig.data.display_type = True, "STICK"
