@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import shutil
 import sys
 import time
 from pathlib import Path
@@ -231,7 +232,8 @@ def undo_and_reload(stage: Stage, studio: Studio, out: Path) -> Story:
     obj = next(obj for obj in bpy.data.objects if part("scene.splat_object").is_splat_object(obj))
     stage.check("after saving the shader goes on", drawn(obj))
     node, groups = part("scene.node_builder"), part("scene.node_groups")
-    with bpy.data.libraries.load(str(path), link=True) as (there, into):
+    other = shutil.copyfile(path, out / "splats_linked.blend")  # Blender refuses to link from the open file
+    with bpy.data.libraries.load(str(other), link=True) as (there, into):
         into.objects = [name for name in there.objects if name == obj.name]
     linked = into.objects[0]
     good = node.get_input(groups.find_display(linked), groups.BY_SHADER) is False
