@@ -36,6 +36,7 @@ from .operators import (
     pose_rig,
     remove_runtime,
     render_splats,
+    renew_display,
     repair_runtime,
     save_weights,
     separate_parts,
@@ -43,6 +44,7 @@ from .operators import (
     smooth_weights,
 )
 from .scene import fabric_view, follow_display, follow_transforms, handlers, helpers, webp_images
+from .scene.viewport import following as viewport_following
 from .scene.viewport import handler as viewport_handler
 from .session import guidance_settings, live_pictures, properties, render_settings, running_job
 from .ui import job_presets as job_presets_menu
@@ -72,6 +74,7 @@ MODULES = (
     center_rig,
     check_again,
     cleanup,
+    renew_display,
     bind,
     save_weights,
     export_glb,
@@ -102,6 +105,7 @@ MODULES = (
     follow_transforms,
     follow_display,
     viewport_handler,
+    viewport_following,
     fabric_view,
 )
 
