@@ -12,6 +12,7 @@ from .operators import (
     assign_to_bone,
     auto_skin,
     bind,
+    blend_weights,
     cancel_runtime,
     center_rig,
     check_again,
@@ -39,18 +40,21 @@ from .operators import (
     sharpen_weights,
     smooth_weights,
 )
-from .scene import follow_display, follow_transforms, handlers, helpers
-from .session import guidance_settings, properties, render_settings, running_job
+from .scene import follow_display, follow_transforms, handlers, helpers, webp_images
+from .scene.viewport import handler as viewport_handler
+from .session import guidance_settings, live_pictures, properties, render_settings, running_job
 from .ui import job_presets as job_presets_menu
-from .ui import panel, preferences, render_panel, splat_panels
+from .ui import manual, panel, preferences, render_panel, splat_panels
 
 # Each has CLASSES, HANDLERS (list of Blender, function) where it follows what happens, and register() and unregister()
 # where there is more to do.
 MODULES = (
+    webp_images,
     guidance_settings,
     properties,
     render_settings,
     running_job,
+    live_pictures,
     preferences,
     check_python,
     install_runtime,
@@ -75,6 +79,7 @@ MODULES = (
     assign_to_bone,
     flood_weights,
     mirror_weights,
+    blend_weights,
     separate_parts,
     compare,
     anchor,
@@ -86,10 +91,12 @@ MODULES = (
     panel,
     render_panel,
     splat_panels,
+    manual,
     handlers,
     helpers,
     follow_transforms,
     follow_display,
+    viewport_handler,
 )
 
 

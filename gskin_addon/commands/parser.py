@@ -143,6 +143,7 @@ def _pose(commands: Any) -> None:
         metavar="OUT",
         help="what to write: .blend, .glb, or .ply with posed splats",
     )
+    pose.add_argument("--ply-up", choices=UP_AXES, help="a .ply's up axis (default: as the splats came in)")
     _posing(pose)
     _common(pose)
 
@@ -386,7 +387,8 @@ def _front(parser: argparse.ArgumentParser) -> None:
 
 def _posing(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--object", metavar="NAME", help="which splat object, where the file has several")
-    parser.add_argument("--action", metavar="NAME", help="the action to take the pose from")
+    parser.add_argument("--action", metavar="NAME", help="the action of the armature to take the pose from")
+    parser.add_argument("--slot", metavar="NAME", help="which slot of that action, where several fit the armature")
     parser.add_argument("--frame", type=float, metavar="F", help="the frame to take the pose from")
     parser.add_argument(
         "--rotate",
@@ -395,6 +397,14 @@ def _posing(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar=("BONE", "X", "Y", "Z"),
         help="turn a bone by a rotation vector in degrees, along the world's axes at rest; repeatable",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        nargs=3,
+        default=[],
+        metavar=("BONE", "PROPERTY", "VALUE"),
+        help="set a custom property of a bone, such as a switch between FK and IK; repeatable",
     )
 
 

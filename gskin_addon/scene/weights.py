@@ -164,6 +164,7 @@ class NewWeights:
             drop_kept(obj)
         else:
             keep(obj, *self._start, self._bones)
+        mark_edited(obj, False)
 
     def _choose(self) -> Steps[None]:
         bones, columns = len(self._deform), np.array(self._columns)
@@ -238,6 +239,21 @@ def iter_update_rotation_weights(obj: bpy.types.Object) -> Steps[None]:
     obj = ref.find()
     frames = bind(obj, _armature_of(obj))
     write_influences(obj, bone_order(frames), bones, index, value)
+    mark_edited(obj, True)
+
+
+def mark_edited(obj: bpy.types.Object, edited: bool) -> None:
+    """Remember whether somebody changed the weights since a job or a file gave them."""
+    mark = obj.data[names.MARK]
+    if edited:
+        mark["edited"] = True
+    elif "edited" in mark:
+        del mark["edited"]
+
+
+def is_edited(obj: bpy.types.Object) -> bool:
+    """Whether somebody changed the weights since a job or a file gave them."""
+    return bool(obj.data[names.MARK].get("edited", False))
 
 
 def follows_foreign_frames(obj: bpy.types.Object) -> bool:

@@ -13,7 +13,7 @@ from ..core.errors import InputError
 from ..core.job.checks import APART, SOUND, better_axis, check_overlap, overlap
 from ..core.rig.skeleton import Skeleton
 from ..scene.follow_transforms import warning_of
-from ..scene.placement import is_placed, offset_of, up_of
+from ..scene.placement import is_placed, shift_of, up_of
 from ..scene.proxy_object import followed_armature
 from ..scene.rig_fit import SplatSample, rest_skeleton, sample_splats, scale_to_fit, to_world
 from ..scene.splat_object import splat_count
@@ -49,6 +49,9 @@ class Check:
     options: tuple[tuple[str, Any], ...] = ()
 
 
+MODE = "Mode"
+"""Name of the check that nothing is in Edit Mode."""
+
 _samples: dict[tuple[Any, ...], SplatSample] = {}
 _fits: dict[tuple[Any, ...], list[Check]] = {}
 _KEPT = 8
@@ -66,11 +69,15 @@ def checks(context: bpy.types.Context) -> list[Check]:
     return found
 
 
-def what_is_missing(context: bpy.types.Context) -> str:
-    """What a person must do before Auto-Skin can run, or nothing. Quick: menus ask on every redraw."""
+def what_is_missing(context: bpy.types.Context, *, in_edit_mode: bool = False) -> str:
+    """What a person must do before Auto-Skin can run, or nothing. Quick: menus ask on every redraw.
+
+    in_edit_mode: Edit Mode is no obstacle, whoever asks leaves it.
+    """
     if state.job is not None:
         return "Auto-Skin is running: wait for it or cancel it"
-    return next((check.sentence for check in checks(context) if check.state == "stop"), "")
+    stops = (check for check in checks(context) if check.state == "stop")
+    return next((check.sentence for check in stops if not (in_edit_mode and check.name == MODE)), "")
 
 
 def guidance_remedy(context: bpy.types.Context) -> learning_runtime.Remedy | None:
@@ -111,8 +118,8 @@ def _armature_check(armature: bpy.types.Object | None) -> Check:
 def _mode_check(splats: bpy.types.Object, armature: bpy.types.Object) -> Check:
     if splats.mode == "EDIT" or armature.mode == "EDIT":
         sentence = "An object is in Edit Mode: leave it (Tab)"
-        return Check("Mode", "stop", sentence, "object.mode_set", "Leave Edit Mode", (("mode", "OBJECT"),))
-    return Check("Mode")
+        return Check(MODE, "stop", sentence, "object.mode_set", "Leave Edit Mode", (("mode", "OBJECT"),))
+    return Check(MODE)
 
 
 def _scale_check(splats: bpy.types.Object, armature: bpy.types.Object) -> Check:
@@ -199,7 +206,8 @@ def _place_check(
     except InputError as error:
         if bound:
             return Check("Place", "stop", error.plain)
-        if is_placed(splats) and overlap(points - offset_of(splats), skeleton) >= SOUND:
+        shift = shift_of(splats)
+        if shift.any() and overlap(points - shift, skeleton) >= SOUND:
             return Check("Place", "stop", error.plain, "gskin.move_rig_to_splats", "Move the Rig to the Splats")
         _, best, _ = better_axis(points, skeleton, up_of(splats))
         if best:

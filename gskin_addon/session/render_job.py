@@ -84,6 +84,10 @@ class RenderJob:
         )
 
     @property
+    def pictures(self) -> None:
+        """None: its frames are in the output folder."""
+
+    @property
     def seconds_left(self) -> float | None:
         """By what the frames took so far."""
         done = len(self.written)

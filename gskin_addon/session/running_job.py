@@ -4,10 +4,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import bpy
 from bpy.app.handlers import persistent
+
+from . import live_pictures
 
 if TYPE_CHECKING:
     from ..core.job.progress import ProgressEvent
@@ -22,6 +25,10 @@ class Job(Protocol):
 
     @property
     def seconds_left(self) -> float | None: ...
+
+    @property
+    def pictures(self) -> Path | None:
+        """Folder of the pictures that show how far it is, if it makes any."""
 
     def cancel(self) -> None: ...
 
@@ -48,6 +55,7 @@ def begin(job: Job) -> None:
 def end(outcome: str, *, failed: bool = False, details: str = "") -> None:
     """No job runs any more; `details` may be a traceback of the worker."""
     state.job, state.outcome, state.failed, state.details = None, outcome, failed, details
+    live_pictures.forget()
 
 
 def stop() -> None:

@@ -30,7 +30,8 @@ class FrameClient:
         self.python = python
         try:
             arguments = [str(PROGRAM), "--draw"]
-            self._process = spawn(python, arguments, worker_environment(), isolated=isolated, gentle=gentle)
+            command = [str(python), *(["-I"] if isolated else []), "-u", *arguments]
+            self._process = spawn(command, worker_environment(), gentle=gentle)
         except OSError as error:
             raise InputError(
                 f"'{python}' cannot be started to draw splats ({error.strerror}); name another Python in the add-on's "

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Starting a Python process with pipes, for all that runs beside Blender. Standard library only."""
+"""Starting a process with pipes, for all that runs beside Blender. Standard library only."""
 
 from __future__ import annotations
 
@@ -7,26 +7,26 @@ import contextlib
 import os
 import subprocess
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 
 def spawn(
-    python: Path, arguments: Sequence[str], environment: Mapping[str, str], *, isolated: bool, gentle: bool
+    command: Sequence[str], environment: Mapping[str, str], *, gentle: bool = False, group: bool = False
 ) -> subprocess.Popen[bytes]:
-    """Start `python -u` with arguments; stdin, stdout and stderr are pipes.
+    """Start a command; stdin, stdout and stderr are pipes.
 
-    isolated: it sees nothing of the user's own Python packages and PYTHON... variables. gentle: it runs at low
-    priority, so that a window stays responsive meanwhile. Raises OSError where it cannot be started.
+    gentle: it runs at low priority, so that a window stays responsive meanwhile. group: it starts others, which are to
+    be killed along with it. Raises OSError where it cannot be started.
     """
     flags: int = getattr(subprocess, "CREATE_NO_WINDOW", 0)
     if gentle:
         flags |= getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0)
     process = subprocess.Popen(
-        [str(python), *(["-I"] if isolated else []), "-u", *arguments],
+        list(command),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         env=dict(environment),
+        start_new_session=group and os.name == "posix",
         creationflags=flags,
     )
     if gentle and hasattr(os, "setpriority"):

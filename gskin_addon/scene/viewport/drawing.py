@@ -7,14 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import gpu
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...core.render.drawn_splats import DrawnSplats
 from ...core.render.screen_space import is_orthographic
 from ...core.render.view_order import arrange
-from .shaders import gpu_types, splat_shader, square
+from .shaders import gpu_state, gpu_types, splat_shader, square
 from .textures import PoseTextures, color_texture, image_texture, object_texture, order_texture, pose_textures
 
 
@@ -54,14 +53,14 @@ def draw_into(
     V, P = np.asarray(view, np.float64), np.asarray(projection, np.float64)
     shader = splat_shader(behind_others=depths is not None)
     objects = object_texture([V @ matrix for matrix in matrices])
-    before = gpu.state.blend_get(), gpu.state.depth_test_get(), gpu.state.depth_mask_get(), gpu.state.viewport_get()
+    before = gpu_state.blend_get(), gpu_state.depth_test_get(), gpu_state.depth_mask_get(), gpu_state.viewport_get()
     with target.framebuffer.bind():
         target.framebuffer.clear(color=(0.0, 0.0, 0.0, 0.0))
         try:
-            gpu.state.viewport_set(0, 0, target.width, target.height)
-            gpu.state.blend_set("ALPHA_PREMULT")
-            gpu.state.depth_test_set("NONE")
-            gpu.state.depth_mask_set(False)
+            gpu_state.viewport_set(0, 0, target.width, target.height)
+            gpu_state.blend_set("ALPHA_PREMULT")
+            gpu_state.depth_test_set("NONE")
+            gpu_state.depth_mask_set(False)
             shader.bind()
             named = {"orders": order, "points": pose.points, "rotations": pose.rotations, "scales": pose.scales}
             for name, texture in {**named, "colors": colors, "objects": objects}.items():
@@ -78,10 +77,10 @@ def draw_into(
             if shown:
                 square().draw_instanced(shader, instance_start=0, instance_count=shown)
         finally:
-            gpu.state.blend_set(before[0])
-            gpu.state.depth_test_set(before[1])
-            gpu.state.depth_mask_set(before[2])
-    gpu.state.viewport_set(*before[3])
+            gpu_state.blend_set(before[0])
+            gpu_state.depth_test_set(before[1])
+            gpu_state.depth_mask_set(before[2])
+    gpu_state.viewport_set(*before[3])
 
 
 def read_target(target: Target) -> NDArray[np.float32]:

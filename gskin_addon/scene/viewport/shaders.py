@@ -15,7 +15,8 @@ import gpu
 from ...core.render.screen_space import DILATION, EDGE
 
 gpu_types: Any = gpu.types
-"""Blender's own; published typings lack most arguments."""
+gpu_state: Any = gpu.state
+"""Blender's own; published typings lack most of it."""
 
 WIDTH = 2048
 """Splats of one row of the textures."""
