@@ -34,6 +34,7 @@ from .operators import (
     place,
     remove_runtime,
     render_splats,
+    renew_display,
     repair_runtime,
     save_weights,
     separate_parts,
@@ -41,6 +42,7 @@ from .operators import (
     smooth_weights,
 )
 from .scene import follow_display, follow_transforms, handlers, helpers, webp_images
+from .scene.viewport import following as viewport_following
 from .scene.viewport import handler as viewport_handler
 from .session import guidance_settings, live_pictures, properties, render_settings, running_job
 from .ui import job_presets as job_presets_menu
@@ -69,6 +71,7 @@ MODULES = (
     center_rig,
     check_again,
     cleanup,
+    renew_display,
     bind,
     save_weights,
     export_glb,
@@ -97,6 +100,7 @@ MODULES = (
     follow_transforms,
     follow_display,
     viewport_handler,
+    viewport_following,
 )
 
 

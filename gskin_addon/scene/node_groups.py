@@ -50,7 +50,8 @@ _INPUTS: list[tuple[str, str, dict[str, Any]]] = [
         {
             "default_value": VIEWPORT_LIMIT,
             "min_value": 1,
-            "description": "Most splats drawn in the viewport, spread evenly over all; renders draw every one",
+            "description": "Most splats drawn in the viewport, those that hide most; of ellipsoids some of all parts. "
+            "Renders draw every one",
         },
     ),
     (
@@ -127,6 +128,16 @@ def add_display(obj: bpy.types.Object) -> bpy.types.NodesModifier:
         match_octahedra(obj)
     obj.modifiers.move(obj.modifiers.find(modifier.name), len(obj.modifiers) - 1)
     return modifier
+
+
+def renew_display(obj: bpy.types.Object) -> None:
+    """Give a display of an older file the present node group; what was set stays."""
+    modifier = add_display(obj)
+    kept = {name: get_input(modifier, name) for name in DISPLAY_INPUTS if has_input(modifier, name)}
+    modifier.node_group = display_group()
+    for name, value in kept.items():
+        set_input(modifier, name, value)
+    match_octahedra(obj)
 
 
 def set_display(obj: bpy.types.Object, name: str, value: Any) -> None:
