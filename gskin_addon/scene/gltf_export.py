@@ -130,7 +130,8 @@ def export_glb(
     try:
         with (
             replaced(path, ".glb") as temporary,
-            _selected(objects, armatures),
+            shown([*_seen(objects), *armatures], select=True),
+            _selected([*objects, *armatures]),
             _discoverable(),
             nodes_hidden(),
             clips_of(armatures, posed=posed, animations=animations) as options,
@@ -163,6 +164,13 @@ def export_glb(
         # The exporter moves to frame 0 and stays there when it fails.
         if bpy.context.scene.frame_current != frame:
             bpy.context.scene.frame_set(frame)
+
+
+def _seen(objects: Sequence[bpy.types.Object]) -> Sequence[bpy.types.Object]:
+    """Those of the objects that are not hidden: what an artist hides is not to be exported."""
+    layer = bpy.context.view_layer
+    layer.update()
+    return [obj for obj in objects if layer.objects.get(obj.name) == obj and obj.visible_get(view_layer=layer)]
 
 
 def _moves_splats(obj: Any) -> bool:
@@ -211,29 +219,26 @@ def nodes_hidden() -> Iterator[None]:
 
 
 @contextmanager
-def _selected(objects: Sequence[bpy.types.Object], armatures: Sequence[bpy.types.Object]) -> Iterator[None]:
-    """Exactly these are selected inside the block; armatures even where they are hidden or not selectable."""
+def _selected(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
+    """Exactly these objects are selected inside the block."""
     layer = bpy.context.view_layer
     layer.update()  # objects linked just now are not among its objects before
-    unseen = [obj for obj in objects if layer.objects.get(obj.name) != obj or not obj.visible_get(view_layer=layer)]
-    if unseen:
-        raise InputError(f"'{unseen[0].name}' is hidden or not in the scene; show it and export again.")
-    with shown([*objects, *armatures], select=True):
-        # Looked up in a set: asking Blender's collection, or a list, for each object is quadratic.
-        present = set(layer.objects)
-        before, active = {obj for obj in present if obj.select_get()}, layer.objects.active
-        try:
-            for obj in before:
-                obj.select_set(False)
-            for obj in [*objects, *armatures]:
+    # Looked up in a set: asking Blender's collection, or a list, for each object is quadratic.
+    present = set(layer.objects)
+    before, active = {obj for obj in present if obj.select_get()}, layer.objects.active
+    try:
+        for obj in before:
+            obj.select_set(False)
+        for obj in objects:
+            if obj in present:
                 obj.select_set(True)
-                if not obj.select_get():
-                    raise InputError(f"'{obj.name}' cannot be selected for the export; show it and export again.")
-            yield
-        finally:
-            for obj in layer.objects:
-                obj.select_set(obj in before)
-            layer.objects.active = active
+            if obj not in present or not obj.select_get():
+                raise InputError(f"'{obj.name}' is hidden or not in the scene; show it and export again.")
+        yield
+    finally:
+        for obj in layer.objects:
+            obj.select_set(obj in before)
+        layer.objects.active = active
 
 
 @contextmanager

@@ -12,7 +12,6 @@ from ..scene.node_builder import has_input, input_property
 from ..scene.node_groups import DISPLAY_INPUTS, find_display
 from ..session.chosen import chosen_splats
 
-
 _EDITS = (
     (("gskin.smooth_weights", "Smooth"), ("gskin.sharpen_weights", "Sharpen")),
     (("gskin.assign_to_bone", "To Bone"), ("gskin.flood_weights", "Flood")),
