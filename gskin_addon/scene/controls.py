@@ -264,7 +264,7 @@ def _without_followers(armature: bpy.types.Object) -> Iterator[None]:
     modifiers: list[Any] = [
         modifier
         for obj in bpy.data.objects
-        if any(m.type == "ARMATURE" and m.object == armature for m in obj.modifiers)
+        if any(getattr(modifier, "object", None) == armature for modifier in obj.modifiers)
         for modifier in obj.modifiers
         if modifier.show_viewport
     ]
