@@ -12,6 +12,7 @@ from .operators import (
     assign_to_bone,
     auto_skin,
     bind,
+    blend_weights,
     cancel_runtime,
     center_rig,
     check_again,
@@ -32,23 +33,28 @@ from .operators import (
     mirror_weights,
     place,
     remove_runtime,
+    render_splats,
     repair_runtime,
     save_weights,
     separate_parts,
     sharpen_weights,
     smooth_weights,
 )
-from .scene import follow_display, follow_transforms, handlers, helpers
-from .session import guidance_settings, properties, running_job
+from .scene import follow_display, follow_transforms, handlers, helpers, webp_images
+from .scene.viewport import handler as viewport_handler
+from .session import guidance_settings, live_pictures, properties, render_settings, running_job
 from .ui import job_presets as job_presets_menu
-from .ui import panel, preferences, splat_panels
+from .ui import manual, panel, preferences, render_panel, splat_panels
 
 # Each has CLASSES, HANDLERS (list of Blender, function) where it follows what happens, and register() and unregister()
 # where there is more to do.
 MODULES = (
+    webp_images,
     guidance_settings,
     properties,
+    render_settings,
     running_job,
+    live_pictures,
     preferences,
     check_python,
     install_runtime,
@@ -73,19 +79,24 @@ MODULES = (
     assign_to_bone,
     flood_weights,
     mirror_weights,
+    blend_weights,
     separate_parts,
     compare,
     anchor,
     auto_skin,
+    render_splats,
     command_line,
     job_presets,
     job_presets_menu,
     panel,
+    render_panel,
     splat_panels,
+    manual,
     handlers,
     helpers,
     follow_transforms,
     follow_display,
+    viewport_handler,
 )
 
 

@@ -143,6 +143,7 @@ def _pose(commands: Any) -> None:
         metavar="OUT",
         help="what to write: .blend, .glb, or .ply with posed splats",
     )
+    pose.add_argument("--ply-up", choices=UP_AXES, help="a .ply's up axis (default: as the splats came in)")
     _posing(pose)
     _common(pose)
 

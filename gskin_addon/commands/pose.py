@@ -26,10 +26,11 @@ def run(options: argparse.Namespace) -> None:
     kind = options.out.suffix.lower()
     with posed(options) as obj:
         from ..scene import rig_files
+        from ..scene.placement import as_in_file
         from ..scene.posing import posed_cloud
 
         if kind == ".ply":
-            write_splats(options.out, posed_cloud(obj))
+            write_splats(options.out, as_in_file(obj, posed_cloud(obj), options.ply_up or ""))
         elif kind == ".glb":
             from ..scene.gltf_export import export_glb
 

@@ -67,6 +67,7 @@ def run(options: argparse.Namespace) -> None:
     require_bpy()
     from ..scene import names, rig_files
     from ..scene.armature import read_skeleton
+    from ..scene.placement import bring_rig, fits_in_file
     from ..scene.proxy_object import create_mesh_object
     from ..scene.splat_object import create_splat_object
     from ..session.skin_job import SkinJob
@@ -77,8 +78,12 @@ def run(options: argparse.Namespace) -> None:
     up, assumed = resolve_up(options.ply_up, cloud, read_skeleton(armature))
     if assumed:
         print_message(f"'{options.splats}': {assumed}.")
-    splats = create_splat_object(rotate_cloud(cloud, up_rotation(up)), options.splats.stem)
+    turned = rotate_cloud(cloud, up_rotation(up))
+    splats = create_splat_object(turned, options.splats.stem)
     splats.data[names.MARK]["up"] = up
+    if fits_in_file(turned, read_skeleton(armature)):
+        bring_rig(armature, -turned.offset)
+        print_message(f"Armature '{armature.name}' stands where the file has the splats, and was moved with them.")
     proxy = None if mesh is None else create_mesh_object(options.mesh.stem, *mesh)
     # glTF knows no anchors: there the splats keep weights of their own, blended from the mesh's.
     anchored = options.out.suffix.lower() == ".blend"

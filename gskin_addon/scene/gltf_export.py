@@ -120,11 +120,11 @@ def export_glb(
     """
     path = Path(path)
     if path.suffix.lower() != ".glb":
-        raise InputError(f"{path} does not end in .glb; choose such a name.")
+        raise InputError(f"'{path}' does not end in .glb; choose such a name.")
     if not path.parent.is_dir():
-        raise InputError(f"{path.parent} is no folder; create it or choose another one.")
+        raise InputError(f"'{path.parent}' is no folder; create it or choose another one.")
     if not any(is_splat_object(obj) for obj in objects):
-        raise InputError(f"{path}: there are no splats among the objects to export; choose a splat object.")
+        raise InputError(f"'{path}': there are no splats among the objects to export; choose a splat object.")
     armatures = list(dict.fromkeys(a for obj in objects if (a := armature_of(obj)) is not None))
     frame = bpy.context.scene.frame_current
     try:
@@ -159,7 +159,7 @@ def export_glb(
     except RuntimeError as error:
         if _failures:
             raise _failures[0] from error
-        raise GSkinError(f"{path}: Blender's glTF exporter failed ({_last_error(error)}).") from error
+        raise GSkinError(f"'{path}': Blender's glTF exporter failed ({_last_error(error)}).") from error
     finally:
         # The exporter moves to frame 0 and stays there when it fails.
         if bpy.context.scene.frame_current != frame:

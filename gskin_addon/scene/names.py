@@ -4,11 +4,15 @@
 from __future__ import annotations
 
 MARK = "gskin"
-"""Custom property that marks a splat mesh: a group with version, sh_degree, the names of extra
+"""Custom property that marks a splat mesh: a group with version, sh_degree, the names and number types of extra
 columns, and where known the file's up axis (up) and what an applied transform has broken (warning)."""
 
 OFFSET = "gskin_offset"
 """Custom property of a splat object: how far it was moved from the file's coordinates."""
+
+GEO_OFFSET = "gskin_geo_offset"
+"""Custom property of a splat object whose file lies far from the origin: world coordinates + it are the file's, turned
+to Blender's axes. Not there for others."""
 
 PLACES = "gskin_places"
 """Custom property of a splat mesh: where some splats were when all attributes fitted together."""

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -11,14 +12,16 @@ import mathutils
 import numpy as np
 
 from ..core.errors import InputError
-from ..core.rig.lbs import skin_cloud
+from ..core.rig.lbs import skin_cloud, stretch_rows
+from ..core.rig.stretch import polar
 from ..core.splats.cloud import SplatCloud
 from .anchored import proxy_of
-from .armature import pose_transforms_of
+from .armature import bends_of, pose_transforms_of
 from .bone_frames import armature_of
 from .controls import INNER, find_control, outer_sources, sources, why_held
+from .deform_stack import beyond_linear_blending, measured_deform
 from .proxy_object import posed_anchored
-from .splat_object import read_cloud
+from .splat_object import read_cloud, to_world
 from .visibility import shown
 from .weights import read_weights
 
@@ -120,12 +123,24 @@ def posed_cloud(obj: bpy.types.Object) -> SplatCloud:
     armature = armature_of(obj)
     if armature is None:
         return cloud
+    if beyond_linear_blending(obj):
+        return _measured_cloud(obj)
     weights, _ = read_weights(obj)
     transforms = pose_transforms_of(armature)
     total = weights.sum(axis=1, keepdims=True)
     # A splat without weights stays where it is: one more "bone" that never moves takes it.
     weights = np.concatenate([weights / np.maximum(total, 1e-12), total <= 0], axis=1).astype(np.float32)
-    return skin_cloud(cloud, weights, np.concatenate([transforms, np.eye(4)[None]]))
+    return skin_cloud(cloud, weights, np.concatenate([transforms, np.eye(4)[None]]), bends=bends_of(armature))
+
+
+def _measured_cloud(obj: bpy.types.Object) -> SplatCloud:
+    """The splats in world space as whatever modifiers of `obj` put, turn and stretch them, by finite differences."""
+    rest = read_cloud(obj, world=False)
+    moved, maps = measured_deform(obj)
+    turn, _, parity = polar(maps)
+    posed = dataclasses.replace(rest, means=moved)
+    everything = np.arange(rest.count)
+    return to_world(stretch_rows(posed, rest, everything, turn, maps, parity < 0), obj)
 
 
 def _rotation(bone: bpy.types.PoseBone) -> mathutils.Quaternion:

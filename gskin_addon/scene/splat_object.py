@@ -20,6 +20,7 @@ from ..core.splats.axes import rotate_cloud
 from ..core.splats.cloud import SplatCloud
 from . import names
 from .attributes import ObjectData, read_attribute, read_positions, write_attribute, write_positions
+from .extra_columns import read_extra, write_extra
 from .node_groups import add_display
 from .transforms import world_similarity
 
@@ -44,6 +45,8 @@ def create_splat_object(
     _write_columns(mesh, cloud)
     obj = bpy.data.objects.new(name, mesh)
     (collection or bpy.context.scene.collection).objects.link(obj)
+    if cloud.offset.any():
+        obj[names.GEO_OFFSET] = cloud.offset.tolist()
     if display:
         add_display(obj)
     return obj
@@ -85,7 +88,8 @@ def read_cloud(obj: bpy.types.Object, *, world: bool = True) -> SplatCloud:
         scales=np.maximum(_require(obj, names.SCALE), 0.0),
         opacities=np.clip(base[:, 3], 0.0, 1.0),
         sh=sh,
-        extra=_read_extra(mesh),
+        extra=read_extra(mesh),
+        offset=np.array(obj.get(names.GEO_OFFSET, (0.0, 0.0, 0.0))),
     )
     return to_world(cloud, obj) if world else cloud
 
@@ -116,15 +120,10 @@ def _write_columns(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
     write_attribute(mesh, names.BASE, "FLOAT_COLOR", base)
     for index in range(cloud.sh.shape[1] - 1):
         write_attribute(mesh, names.SH.format(index), "FLOAT_VECTOR", cloud.sh[:, index + 1])
-    kept = []
-    for column, values in cloud.extra.items():
-        kind = _kind_of(values)
-        if kind is not None:
-            write_attribute(mesh, names.EXTRA.format(column), kind, values)
-            kept.append(column)
+    columns = write_extra(mesh, cloud.extra)
     mark = mesh.get(names.MARK)
     up = None if mark is None else mark.get("up")
-    mesh[names.MARK] = {"version": VERSION, "sh_degree": cloud.sh_degree, "extra": "\n".join(kept)}
+    mesh[names.MARK] = {"version": VERSION, "sh_degree": cloud.sh_degree, **columns}
     if up is not None:
         mesh[names.MARK]["up"] = up
     remember_places(mesh)
@@ -145,25 +144,6 @@ def reference_points(mesh: bpy.types.Mesh) -> tuple[NDArray[np.float64], NDArray
         return None
     now = np.array([mesh.vertices[i].co for i in stored["index"]], dtype=np.float64)
     return np.array(stored["points"], dtype=np.float64).reshape(-1, 3), now
-
-
-def _kind_of(values: NDArray[Any]) -> str | None:
-    """Blender's type for a column; None where 32 bits cannot hold it."""
-    if values.dtype == np.bool_:
-        return "BOOLEAN"
-    if np.issubdtype(values.dtype, np.floating):
-        return "FLOAT"
-    if np.issubdtype(values.dtype, np.integer):
-        limits = np.iinfo(np.int32)
-        fits = values.size == 0 or (int(values.min()) >= limits.min and int(values.max()) <= limits.max)
-        return "INT" if fits else None
-    return None
-
-
-def _read_extra(mesh: bpy.types.Mesh) -> dict[str, NDArray[Any]]:
-    columns = str(mesh[names.MARK].get("extra", "")).split("\n")
-    found = {column: read_attribute(mesh, names.EXTRA.format(column)) for column in columns if column}
-    return {column: values for column, values in found.items() if values is not None}
 
 
 def _require(obj: bpy.types.Object, name: str) -> NDArray[Any]:

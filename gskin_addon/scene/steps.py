@@ -7,23 +7,14 @@ Blender draws and listens only between slices, so each stays well below 0.1 s fo
 from __future__ import annotations
 
 import time
-from collections.abc import Generator, Iterator
-from typing import TypeVar
+from collections.abc import Iterator
 
-Result = TypeVar("Result")
-Steps = Generator[float, None, Result]
+from ..core.ticks import Result, Steps, run_to_end
+
+__all__ = ["SLICE", "Steps", "part_of", "run_for", "run_to_end", "slices"]
 
 SLICE = 10_000
 """The most splats that one slice visits from Python."""
-
-
-def run_to_end(steps: Steps[Result]) -> Result:
-    """Run all slices at once; gives what the generator returns."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return stop.value
 
 
 def run_for(steps: Steps[Result], seconds: float) -> float:

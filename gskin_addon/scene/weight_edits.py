@@ -22,7 +22,7 @@ from .object_ref import ObjectRef
 from .rotation_nodes import frames_of
 from .steps import Steps, part_of
 from .vertex_groups import GroupsAside
-from .weights import iter_read_weights
+from .weights import iter_read_weights, mark_edited
 
 Array = NDArray[Any]
 Result = TypeVar("Result")
@@ -84,6 +84,7 @@ def iter_edit_weights(
     if active in obj.vertex_groups:
         obj.vertex_groups.active = obj.vertex_groups[active]
     write_influences(obj, bone_order(frames), bones, index, value)
+    mark_edited(obj, True)
     return count
 
 

@@ -9,7 +9,7 @@ import bpy
 
 from ..scene import views
 from ..scene.bone_frames import armature_of
-from ..scene.placement import is_placed, up_of
+from ..scene.placement import is_placed, shift_of, up_of
 from ..session.chosen import chosen_armature, chosen_splats
 
 
@@ -27,7 +27,7 @@ def draw(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
             row.operator("gskin.undo_placement", text="", icon="LOOP_BACK")
         else:
             row.operator("gskin.place_on_floor", text="", icon="TRIA_DOWN_BAR")
-        if placed and chosen_armature(context) is not None:
+        if shift_of(splats).any() and chosen_armature(context) is not None:
             layout.operator("gskin.move_rig_to_splats", icon="ARMATURE_DATA")
     space: Any = context.space_data
     if space is not None and space.type == "VIEW_3D" and space.shading.type == "SOLID":

@@ -10,6 +10,7 @@ import bpy
 
 from ..core.job.progress_text import time_left
 from ..scene.compared import compared
+from ..session import live_pictures
 from ..session.confidence import spread_of
 from ..session.running_job import state
 
@@ -24,6 +25,8 @@ def draw(layout: bpy.types.UILayout, width: int) -> None:
         event = job.progress
         layout.progress(factor=event.fraction, text=f"{event.fraction:.0%}  {time_left(job.seconds_left)}")
         layout.label(text="Stopping ..." if job.cancelling else event.message or event.stage.capitalize())
+        if job.pictures is not None:
+            _draw_pictures(layout, live_pictures.icons(job.pictures))
         for name, value in event.losses.items():
             row = layout.row()
             row.active = False
@@ -40,6 +43,15 @@ def draw(layout: bpy.types.UILayout, width: int) -> None:
             box.label(text="The details are in the system console", icon="BLANK1")
 
 
+def _draw_pictures(layout: bpy.types.UILayout, pictures: list[tuple[str, int]]) -> None:
+    """The newest pictures of the running job side by side, with their names."""
+    row = layout.row()
+    for name, icon in pictures:
+        column = row.column()
+        column.template_icon(icon_value=icon, scale=7.0)
+        column.label(text=name)
+
+
 def draw_comparison(layout: bpy.types.UILayout, splats: bpy.types.Object | None) -> None:
     """The two sides of the weights, the shown one pressed in; nothing where there is nothing to compare with."""
     now = None if splats is None else compared(splats)
@@ -49,6 +61,7 @@ def draw_comparison(layout: bpy.types.UILayout, splats: bpy.types.Object | None)
     row = layout.row(align=True)
     for side, text in (("before", name[:1].upper() + name[1:]), ("result", "Learned")):
         row.operator("gskin.compare_weights", text=text, depress=shown == side).show = side.upper()
+    row.operator("gskin.blend_weights", text="", icon="OVERLAY")
 
 
 def draw_confidence(layout: bpy.types.UILayout, splats: bpy.types.Object | None) -> None:

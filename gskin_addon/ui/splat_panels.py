@@ -79,6 +79,7 @@ class GSKIN_PT_weights(_Child, bpy.types.Panel):
         row.operator("gskin.separate_parts", icon="MOD_EDGESPLIT")
         row.operator("gskin.select_seams", text="", icon="RESTRICT_SELECT_OFF")
         row.operator("gskin.clear_seams", text="", icon="X")
+        column.operator("gskin.refine_selected", icon="MOD_ARMATURE")
         column.separator()
         if proxy_of(chosen_splats(context)) is None:
             column.operator("gskin.anchor_to_mesh", icon="MESH_DATA")

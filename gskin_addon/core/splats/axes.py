@@ -77,4 +77,5 @@ def rotate_cloud(cloud: SplatCloud, R: Floats) -> SplatCloud:
         sh=rotate_sh(cloud.sh, R),
         extra=extra,
         offset=R @ cloud.offset,
+        up="",
     )

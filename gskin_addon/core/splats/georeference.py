@@ -47,13 +47,13 @@ def recentre(cloud: SplatCloud, doubles: Sequence[NDArray[np.float64] | None], p
     rounded = np.array([column is None for column in doubles])
     if (_concerned(points, sizes, 1.0) & rounded).any():
         raise InputError(
-            f"{path} has float coordinates, which {_far(points)} from the origin have steps of {_step(points):.2g}, "
+            f"'{path}' has float coordinates, which {_far(points)} from the origin have steps of {_step(points):.2g}, "
             "larger than its splats; export it with double coordinates, or nearer to the origin."
         )
     offset, notes = _offset(points, sizes), list(cloud.notes)
     if _concerned(points - offset, sizes, 1.0).any() or _merged(points - offset) > _SHARE:
         raise InputError(
-            f"{path} reaches {_far(points - offset)} from its middle, where float has steps of "
+            f"'{path}' reaches {_far(points - offset)} from its middle, where float has steps of "
             f"{_step(points - offset):.2g}, larger than its splats; crop it to the part that you need."
         )
     if (_concerned(points, sizes, _COARSE) & rounded).any():
@@ -62,7 +62,7 @@ def recentre(cloud: SplatCloud, doubles: Sequence[NDArray[np.float64] | None], p
         with np.errstate(over="ignore", invalid="ignore"):
             for k in np.flatnonzero(offset):
                 cloud.means[:, k] = columns[k].astype(np.float64) - offset[k]
-        step = ", ".join(f"{-value:.12g}" for value in offset)
+        step = ", ".join(f"{0.0 - value:.12g}" for value in offset)
         notes.append(f"moved by ({step}) to the origin, which .ply output undoes")
     return replace(cloud, offset=offset, notes=tuple(notes))
 
@@ -91,12 +91,14 @@ def _merged(points: NDArray[np.float64]) -> float:
 
 
 def _offset(points: Floats, sizes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(3,) whole numbers (of a power of two, in small clouds) to take off; 0 along axes that need none."""
+    """(3,) whole numbers (of a power of two, in small clouds) to take off; zeros where no axis needs it."""
     low, middle, high = np.percentile(points, [1, 50, 99], axis=0).astype(np.float64)
     extent = float((high - low).max())
     unit = 1.0 if not 0.0 < extent < 1.0 else 2.0 ** np.floor(np.log2(extent))
-    far = _concerned(points, sizes, _SEEN) & (np.abs(middle) > 0.5 * (high - low))
-    return np.where(far, np.round(middle / unit) * unit, 0.0)
+    outside = np.abs(middle) > 0.5 * (high - low)
+    if not (_concerned(points, sizes, _SEEN) & outside).any():
+        return np.zeros(3)
+    return np.where(outside, np.round(middle / unit) * unit, 0.0) + 0.0
 
 
 def _far(points: Floats) -> str:

@@ -74,7 +74,7 @@ def test_float_coordinates_are_moved_exactly_while_they_can_tell_splats_apart(tm
 
 def test_float_coordinates_that_lost_their_splats_are_refused(tmp_path):
     path = clouds.write_columns(tmp_path / "far.ply", columns_at(UTM, code="f4"))
-    with pytest.raises(InputError, match=r"far\.ply has float coordinates.*double coordinates"):
+    with pytest.raises(InputError, match=r"far\.ply' has float coordinates.*double coordinates"):
         read_ply(path)
     coarse = clouds.write_columns(tmp_path / "coarse.ply", columns_at((100_000.0, 0.0, 0.0), code="f4"))
     assert any("rounded to steps of 0.0078" in note for note in read_ply(coarse).cloud.notes)
