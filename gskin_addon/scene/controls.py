@@ -54,8 +54,7 @@ def find_control(
     """
     chosen: tuple[float, Control] | None = None
     # What only shifts a part of a limb is no control of the bone.
-    candidates = [name for name in sources(armature, bone) if not name.startswith(INNER) and "tweak" not in name]
-    del candidates[_TRIED:]
+    candidates = [name for name in controls(armature, bone) if "tweak" not in name][:_TRIED]
     with _without_followers(armature):
         found = _best(armature, bone, candidates, turn, restore)
         if found is not None:
@@ -80,6 +79,12 @@ def sources(armature: bpy.types.Object, bone: str) -> list[str]:
                 found.append(other)
                 waiting.append(other)
     return found[1:]
+
+
+def controls(armature: bpy.types.Object, bone: str) -> list[str]:
+    """Bones of the same armature that a bone follows and that artists touch, the nearest first; not its parents."""
+    parents = {parent.name for parent in armature.pose.bones[bone].parent_recursive}
+    return [name for name in sources(armature, bone) if name not in parents and not name.startswith(INNER)]
 
 
 def outer_sources(armature: bpy.types.Object, bone: str) -> list[str]:

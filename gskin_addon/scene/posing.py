@@ -18,7 +18,7 @@ from ..core.splats.cloud import SplatCloud
 from .anchored import proxy_of
 from .armature import bends_of, pose_transforms_of
 from .bone_frames import armature_of
-from .controls import INNER, find_control, outer_sources, sources, why_held
+from .controls import controls, find_control, outer_sources, why_held
 from .deform_stack import beyond_linear_blending, measured_deform
 from .proxy_object import posed_anchored
 from .splat_object import read_cloud, to_world
@@ -232,6 +232,5 @@ def _held(
     words = f"Bone '{name}' of '{armature.name}' cannot be turned, because its rotation {reason}"
     if control is not None:
         return f"{words}; {control}."
-    others = [bone for bone in sources(armature, name) if not bone.startswith(INNER)][:3]
-    found = ", ".join(f"'{other}'" for other in [*outer_sources(armature, name), *others])
+    found = ", ".join(f"'{other}'" for other in [*outer_sources(armature, name), *controls(armature, name)[:3]])
     return f"{words}; move or change what it follows instead: {found}." if found else f"{words}."

@@ -123,7 +123,8 @@ def _instanced(context: bpy.types.Context) -> str:
         collection = obj.instance_collection if obj.instance_type == "COLLECTION" else None
         rig = None if collection is None else next((o for o in collection.all_objects if o.type == "ARMATURE"), None)
         if rig is not None:
-            how = "Object > Library Override > Make" if rig.library is not None else "Object > Apply > Make Instances Real"
+            linked = "Object > Library Override > Make"
+            how = linked if rig.library is not None else "Object > Apply > Make Instances Real"
             return f"Armature '{rig.name}' is only in the instance '{obj.name}': {how}"
     return ""
 
@@ -131,13 +132,14 @@ def _instanced(context: bpy.types.Context) -> str:
 def _owner_check(splats: bpy.types.Object, armature: bpy.types.Object) -> Check:
     """Whether the splats can be written to, and only theirs are."""
     if splats.library is not None or splats.data.library is not None:
-        return Check("Owner", "stop", f"'{splats.name}' is linked from another file: make it local (Object > Relations)")
+        sentence = f"'{splats.name}' is linked from another file: make it local (Object > Relations)"
+        return Check("Owner", "stop", sentence)
     others = sharers(splats)
     if others:
         sentence = f"'{splats.name}' shares its mesh with '{others[0]}', and will get one of its own"
         return Check("Owner", "warn", sentence)
     if armature.library is not None:
-        sentence = f"Armature '{armature.name}' is linked: to pose it, make it local or an override (Object > Relations)"
+        sentence = f"Armature '{armature.name}' is linked: to pose it, make it local (Object > Relations)"
         return Check("Owner", "warn", sentence)
     return Check("Owner")
 
