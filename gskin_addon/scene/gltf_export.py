@@ -25,7 +25,9 @@ from ..core.splats.axes import rotate_cloud
 from ..core.splats.cloud import SplatCloud
 from .bone_frames import armature_of
 from .fabric import bring_fabrics_back, lay_fabrics_aside
+from .gltf_clips import clips_of, keep_own, play_companions
 from .splat_object import is_splat_object, read_cloud
+from .visibility import shown
 
 _EXPORTER = "io_scene_gltf2"
 _hidden: list[tuple[str, str]] = []
@@ -63,6 +65,15 @@ class SplatExport:
         export_settings["gltf_loose_points"] = splats or self._options["gltf_loose_points"]
         export_settings["gltf_apply"] = False if splats else self._options["gltf_apply"]
 
+    def gather_actions_hook(self, blender_object: Any, gathered: Any, export_settings: dict[str, Any]) -> None:
+        """An armature that moves splats is given no clips of others."""
+        if _moves_splats(blender_object):
+            keep_own(blender_object, gathered)
+
+    def pre_animation_switch_hook(self, blender_object: Any, blender_action: Any, *_: Any) -> None:
+        """Before a clip is sampled."""
+        play_companions(blender_object, blender_action)
+
     def gather_mesh_hook(
         self,
         gltf2_mesh: Any,
@@ -98,10 +109,12 @@ def export_glb(
     *,
     deform_bones_only: bool = False,
     animations: bool = True,
+    posed: bool = False,
 ) -> None:
     """Export splat objects, with the armatures they follow and their actions, as one .glb.
 
     Further objects in `objects` are exported as Blender does. The file appears at `path` when it is complete.
+    posed: the joints stand as the bones do now, and not at rest, also where there are clips.
 
     Raises InputError: no splat object, not a .glb name, no such folder, an object not in the scene or not
     selectable, non-uniform object scale; GSkinError where the exporter fails or the file cannot be written.
@@ -113,10 +126,17 @@ def export_glb(
         raise InputError(f"'{path.parent}' is no folder; create it or choose another one.")
     if not any(is_splat_object(obj) for obj in objects):
         raise InputError(f"'{path}': there are no splats among the objects to export; choose a splat object.")
-    armatures = [armature for obj in objects if (armature := armature_of(obj)) is not None]
+    armatures = list(dict.fromkeys(a for obj in objects if (a := armature_of(obj)) is not None))
     frame = bpy.context.scene.frame_current
     try:
-        with replaced(path, ".glb") as temporary, _selected([*objects, *armatures]), _discoverable(), nodes_hidden():
+        with (
+            replaced(path, ".glb") as temporary,
+            shown([*_seen(objects), *armatures], select=True),
+            _selected([*objects, *armatures]),
+            _discoverable(),
+            nodes_hidden(),
+            clips_of(armatures, posed=posed, animations=animations) as options,
+        ):
             _failures.clear()
             bpy.ops.export_scene.gltf(
                 filepath=str(temporary),
@@ -133,6 +153,7 @@ def export_glb(
                 export_morph=False,
                 export_animations=animations,
                 export_materials="EXPORT",
+                **options,
             )
             if _failures:
                 raise _failures[0]
@@ -144,6 +165,19 @@ def export_glb(
         # The exporter moves to frame 0 and stays there when it fails.
         if bpy.context.scene.frame_current != frame:
             bpy.context.scene.frame_set(frame)
+
+
+def _seen(objects: Sequence[bpy.types.Object]) -> Sequence[bpy.types.Object]:
+    """Those of the objects that are not hidden: what an artist hides is not to be exported."""
+    layer = bpy.context.view_layer
+    layer.update()
+    return [obj for obj in objects if layer.objects.get(obj.name) == obj and obj.visible_get(view_layer=layer)]
+
+
+def _moves_splats(obj: Any) -> bool:
+    return obj is not None and obj.type == "ARMATURE" and any(
+        is_splat_object(other) and armature_of(other) == obj for other in bpy.data.objects
+    )
 
 
 def _last_error(error: RuntimeError) -> str:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ..core.errors import InputError
 from .attributes import ObjectData, write_attribute
 from .object_ref import ObjectRef, object_by_uid
+from .single_user import sharers
 from .steps import Steps
 
 Array = NDArray[Any]
@@ -76,7 +77,7 @@ class GroupsAside:
         return self._target.find()
 
     def commit(self) -> bpy.types.Object:
-        """Give the object, and all that share its mesh, the new groups; gives the object.
+        """Give the object the new groups, and where others share its mesh a mesh of its own; gives the object.
 
         Raises InputError as `check` does; nothing is written then.
         """
@@ -88,9 +89,12 @@ class GroupsAside:
         mode = leave_paint_mode(obj)
         mesh.use_fake_user = old.use_fake_user
         bpy.data.objects.remove(aside)
-        old.user_remap(mesh)
-        bpy.data.meshes.remove(old)
-        mesh.name = name
+        if sharers(obj):
+            obj.data = mesh
+        else:
+            old.user_remap(mesh)
+            bpy.data.meshes.remove(old)
+            mesh.name = name
         if mode != "OBJECT":
             set_mode(obj, mode)
         return obj

@@ -37,6 +37,7 @@ from ..scene.fabric import iter_triangles, lay_under
 from ..scene.object_ref import object_by_uid
 from ..scene.proxy_object import iter_write_weights_through
 from ..scene.seams import read_seams
+from ..scene.single_user import own_mesh, said_of, sharers
 from ..scene.splat_object import read_cloud, splat_count
 from ..scene.steps import Steps, part_of, run_to_end
 from ..scene.weight_edits import iter_edit_weights, locked_groups
@@ -201,6 +202,7 @@ class SkinJob:
                 "run Auto-Skin again."
             )
         name, words = armature.name, ""
+        shared = said_of(splats, sharers(splats))
         options: dict[str, Any] = {"max_influences": self.max_influences, "confidence": result.confidence}
         triangles = None
         if self.paintable and not proxies:
@@ -226,11 +228,13 @@ class SkinJob:
             shutil.rmtree(self.client.folder, ignore_errors=True)
         seconds = time.monotonic() - self.started
         words = words or f"{self.count:,} splats follow {len(result.bones)} bones of '{name}' ({seconds:.0f} s)"
+        words = f"{words}; {shared}" if shared else words
         summary = result.report.get("summary")
         return f"{words}; {summary}" if isinstance(summary, str) and summary else words
 
     def _merge(self, splats: bpy.types.Object, armature: bpy.types.Object, result: Result) -> Steps[str]:
         """Write the weights of the chosen splats and the bones that are not locked; the others stay to the bit."""
+        own_mesh(splats)
         if armature_of(splats) != armature:
             bind(splats, armature)
         order = [list(result.bones).index(bone) for bone in read_skeleton(armature).names]
