@@ -31,7 +31,6 @@ from .console import print_message
 from .paths import check_output, same_file
 
 if TYPE_CHECKING:
-    import bpy
     from numpy.typing import NDArray
 
     Array = NDArray[Any]
@@ -72,6 +71,7 @@ def run(options: argparse.Namespace) -> None:
     from ..scene.proxy_object import create_mesh_object
     from ..scene.splat_object import create_splat_object
     from ..session.skin_job import SkinJob
+    from .save import save_rigged
 
     rig_files.empty_scene()
     armature = rig_files.import_armature(options.armature, options.armature_name)
@@ -105,7 +105,7 @@ def run(options: argparse.Namespace) -> None:
             with replaced(options.weights) as temporary:
                 shutil.copyfile(job.client.folder / WEIGHTS, temporary)
         sentence = job.apply()
-        _save(options.out, splats)
+        save_rigged(options.out, splats)
     print_message(f"{sentence}, in '{options.out}'.")
 
 
@@ -168,17 +168,6 @@ def guidance_options(options: argparse.Namespace) -> dict[str, Any]:
             values[name] = text  # a folder called 7 is still a name
     check_models(options.guidance, values)
     return with_absolute_folders(options.guidance, values)
-
-
-def _save(out: Path, obj: bpy.types.Object) -> None:
-    from ..scene import rig_files
-
-    if out.suffix.lower() == ".glb":
-        from ..scene.gltf_export import export_glb
-
-        export_glb(out, [obj])
-    else:
-        rig_files.save_blend(out)
 
 
 @contextlib.contextmanager

@@ -9,13 +9,9 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy_extras.io_utils import ExportHelper
 
-from ..core.errors import GSkinError, InputError
-from ..core.rig.weights_file import write_weights_file
-from ..scene import names
-from ..scene.armature import read_skeleton
-from ..scene.attributes import read_attribute
+from ..core.errors import GSkinError
 from ..scene.proxy_object import followed_armature
-from ..scene.weights import read_weights
+from ..scene.save_weights import save_weights
 from ..session.chosen import chosen_splats
 
 
@@ -50,26 +46,6 @@ class GSKIN_OT_save_weights(bpy.types.Operator, ExportHelper):
             return {"CANCELLED"}
         self.report({"INFO"}, f"Weights of {count:,} splats for {bones} bones were saved")
         return {"FINISHED"}
-
-
-def save_weights(splats: bpy.types.Object, path: Path) -> tuple[int, int]:
-    """Write the normalised weights of splats that follow an armature; the numbers of splats and deform bones.
-
-    Raises InputError: splats without weights, no deform bones, Edit Mode. GSkinError: the file cannot be written.
-    """
-    armature = followed_armature(splats)
-    skeleton = read_skeleton(armature)
-    weights, _ = read_weights(splats, skeleton.names)
-    total = weights.sum(axis=1, keepdims=True)
-    empty = int((total <= 0).sum())
-    if empty:
-        raise InputError(
-            f"{empty:,} of the {len(weights):,} splats of '{splats.name}' have no weights for bones of "
-            f"'{armature.name}'; paint some, or run Auto-Skin."
-        )
-    confidence = read_attribute(splats.data, names.CONFIDENCE)
-    write_weights_file(path, weights / total, skeleton, confidence=confidence)
-    return len(weights), skeleton.count
 
 
 CLASSES = (GSKIN_OT_save_weights,)

@@ -40,8 +40,21 @@ BONE = "gskin:bone_{}"
 """Index of the i-th strongest bone among the bone frames; -1 for none."""
 WEIGHT = "gskin:weight_{}"
 
+TURN = "gskin:turn"
+"""How the bones turn each splat (quaternion wxyz, object space); exists only on the evaluated mesh."""
+
 CONFIDENCE = "gskin:confidence"
 """How sure the weights of each splat are, 0 to 1; exists where the method that made them knows."""
+
+SIDE = "gskin:side"
+"""Label of a splat at a seam, 0 for none: splats with two labels belong to parts that touch but are not one."""
+
+COMPARED = "gskin_compared"
+"""Custom property of a splat mesh whose weights have a counterpart to compare with: a group with name (of what was
+before), shown ("before" or "result") and bones, those of the kept side."""
+KEPT_BONE = "gskin:kept_bone_{}"
+"""On the points: the side that is not shown. Index into these bones; what has weight 0 is empty."""
+KEPT_WEIGHT = "gskin:kept_weight_{}"
 
 COLOR = "gskin:color"
 """Linear colour and opacity of a drawn splat; exists only on the display geometry."""

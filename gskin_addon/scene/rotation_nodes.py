@@ -3,7 +3,7 @@
 
 The Armature modifier moves vertices and leaves the `rotation` attribute. This group samples the bone frames (see
 `bone_frames.py`), builds each bone's rotation, blends the quaternions of the splat's strongest bones with their
-weights, signs aligned to the first, and turns `rotation` by the result.
+weights, signs aligned to the first, keeps the result as `gskin:turn` and turns `rotation` by it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import bpy
 from . import names
 from .node_builder import Tree, add_modifier, find_group, geometry_group, get_input, set_input
 
-VERSION = 1
+VERSION = 2
 FRAMES_INPUT = "Bone Frames"
 
 
@@ -54,22 +54,13 @@ def _build(group: bpy.types.NodeTree) -> None:
     source = tree.node("NodeGroupInput")
     geometry, frames = tree.output(source, "Geometry"), tree.output(source, FRAMES_INPUT)
     info = tree.node("GeometryNodeObjectInfo", {"Object": frames}, transform_space="RELATIVE")
-    turn = _bone_turn(tree, tree.output(info, "Rotation"))
-    blended = _blend(tree, tree.output(info, "Geometry"), turn)
-    rotation = tree.out(
-        "FunctionNodeRotateRotation",
-        "Rotation",
-        {"Rotation": tree.attribute(names.ROTATION, "QUATERNION"), "Rotate By": blended},
-        rotation_space="GLOBAL",
-    )
-    stored = tree.out(
-        "GeometryNodeStoreNamedAttribute",
-        "Geometry",
-        {"Geometry": geometry, "Name": names.ROTATION, "Value": rotation},
-        data_type="QUATERNION",
-        domain="POINT",
-    )
-    tree.node("NodeGroupOutput", {"Geometry": stored})
+    blended = _blend(tree, tree.output(info, "Geometry"), _bone_turn(tree, tree.output(info, "Rotation")))
+    # Stored before it is used: whoever turns the harmonics needs it too, and as a field it would be blended twice.
+    geometry = tree.store(geometry, names.TURN, "QUATERNION", blended)
+    rest, turn = (tree.attribute(name, "QUATERNION") for name in (names.ROTATION, names.TURN))
+    inputs = {"Rotation": rest, "Rotate By": turn}
+    rotation = tree.out("FunctionNodeRotateRotation", "Rotation", inputs, rotation_space="GLOBAL")
+    tree.node("NodeGroupOutput", {"Geometry": tree.store(geometry, names.ROTATION, "QUATERNION", rotation)})
 
 
 def _bone_turn(tree: Tree, rest: Any) -> Any:

@@ -16,11 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
+from ..core.rig.influences import Influences
 from . import names
 from .armature import deform_bone_names
 from .attributes import write_attribute
 from .binding import bind, check_splats, set_parent
 from .bone_frames import armature_modifier, armature_of, bone_order, ensure_bone_frames
+from .compared import drop_kept, keep
 from .influences import columns_of, slice_rows, strongest, write_influences
 from .object_ref import ObjectRef, object_by_uid
 from .rotation_nodes import add_rotation, frames_of
@@ -39,20 +41,23 @@ def write_weights(
     *,
     max_influences: int = 4,
     confidence: Array | None = None,
+    start: tuple[str, Influences] | None = None,
 ) -> None:
     """Bind `obj` to `armature` with `weights` (N, B) as vertex groups named after the bones.
 
     bones: the B bone names of the weights' columns (default: the armature's deform bones). Every splat keeps its
     `max_influences` strongest bones, normalised. Vertex groups of the armature's bones are replaced, other groups
-    stay. confidence: (N,) in 0..1, how sure the weights are; without it an earlier one is removed. One call inside
-    an operator is one undo step. The object gets a new mesh datablock in place of its own, of the same name.
+    stay. confidence: (N,) in 0..1, how sure the weights are; without it an earlier one is removed. start: what to
+    compare the weights with (`compared.py`), its name and its strongest bones; without it an earlier one is removed.
+    One call inside an operator is one undo step. The object gets a new mesh datablock in place of its own, of the same
+    name.
 
     Raises InputError: shapes that do not match, NaN, bones that the armature lacks or that do not deform,
     non-uniform object scale, an object in Edit Mode.
     """
     run_to_end(
         iter_write_weights(
-            obj, armature, weights, bones, max_influences=max_influences, confidence=confidence
+            obj, armature, weights, bones, max_influences=max_influences, confidence=confidence, start=start
         )
     )
 
@@ -65,13 +70,14 @@ def iter_write_weights(
     *,
     max_influences: int = 4,
     confidence: Array | None = None,
+    start: tuple[str, Influences] | None = None,
 ) -> Steps[None]:
     """`write_weights` in slices. Only the last one changes the scene; closing it before leaves all as it was.
 
     Raises InputError also where an object is deleted or changed meanwhile; nothing is written then.
     """
     with NewWeights(
-        obj, armature, weights, bones, max_influences=max_influences, confidence=confidence
+        obj, armature, weights, bones, max_influences=max_influences, confidence=confidence, start=start
     ) as new:
         yield from new.make()
         new.commit()
@@ -94,6 +100,7 @@ class NewWeights:
         *,
         max_influences: int = 4,
         confidence: Array | None = None,
+        start: tuple[str, Influences] | None = None,
     ) -> None:
         self._deform = deform_bone_names(armature)
         bones = list(self._deform if bones is None else bones)
@@ -101,6 +108,7 @@ class NewWeights:
         check_splats(obj)
         self._name, self._armature = obj.name, (armature.session_uid, armature.name)
         self._weights, self._confidence = weights, confidence
+        self._start, self._bones = start, bones
         place = {name: column for column, name in enumerate(bones)}
         self._columns = [place.get(name, -1) for name in self._deform]
         width = min(max_influences, len(self._deform))
@@ -152,6 +160,10 @@ class NewWeights:
             write_attribute(obj.data, names.CONFIDENCE, "FLOAT", self._confidence)
         elif names.CONFIDENCE in obj.data.attributes:
             obj.data.attributes.remove(obj.data.attributes[names.CONFIDENCE])
+        if self._start is None or carried:
+            drop_kept(obj)
+        else:
+            keep(obj, *self._start, self._bones)
 
     def _choose(self) -> Steps[None]:
         bones, columns = len(self._deform), np.array(self._columns)

@@ -50,6 +50,7 @@ class GSKIN_PT_main(bpy.types.Panel):
             row.operator("gskin.auto_skin", text=text, icon="MOD_ARMATURE")
         progress.draw(layout, context.region.width if context.region is not None else 300)
         if state.job is None:
+            progress.draw_comparison(layout, chosen_splats(context))
             progress.draw_confidence(layout, chosen_splats(context))
 
     def _draw_settings(self, settings: GSkinSettings, layout: bpy.types.UILayout) -> None:

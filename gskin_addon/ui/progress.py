@@ -9,8 +9,12 @@ from typing import Any
 import bpy
 
 from ..core.job.progress_text import time_left
-from ..session.confidence import sure_share
+from ..scene.compared import compared
+from ..session.confidence import spread_of
 from ..session.running_job import state
+
+SURE_AT_ALL = 0.995
+"""From this share on, that nearly all splats are sure at all says nothing."""
 
 
 def draw(layout: bpy.types.UILayout, width: int) -> None:
@@ -36,14 +40,35 @@ def draw(layout: bpy.types.UILayout, width: int) -> None:
             box.label(text="The details are in the system console", icon="BLANK1")
 
 
-def draw_confidence(layout: bpy.types.UILayout, splats: bpy.types.Object | None) -> None:
-    """A bar of how many splats have sure weights, and the click that shows the others; nothing where none knows."""
-    share = None if splats is None else sure_share(splats)
-    if share is None:
+def draw_comparison(layout: bpy.types.UILayout, splats: bpy.types.Object | None) -> None:
+    """The two sides of the weights, the shown one pressed in; nothing where there is nothing to compare with."""
+    now = None if splats is None else compared(splats)
+    if now is None:
         return
+    name, shown = now
     row = layout.row(align=True)
-    row.progress(factor=share, text=f"{share:.0%} of the splats are sure")
-    row.operator("gskin.select_unsure_splats", text="", icon="RESTRICT_SELECT_OFF")
+    for side, text in (("before", name[:1].upper() + name[1:]), ("result", "Learned")):
+        row.operator("gskin.compare_weights", text=text, depress=shown == side).show = side.upper()
+
+
+def draw_confidence(layout: bpy.types.UILayout, splats: bpy.types.Object | None) -> None:
+    """How sure the least sure splats are and how sure half of them is, and clicks that show the former.
+
+    Nothing where no splat knows, or where the weights that are shown are those from before learning.
+    """
+    spread = None if splats is None else spread_of(splats)
+    now = None if spread is None else compared(splats)
+    if spread is None or (now is not None and now[1] == "before"):
+        return
+    column = layout.box().column(align=True)
+    sure = f"{spread.sure:.0%} of the splats are sure" if spread.sure < SURE_AT_ALL else "How sure the weights are"
+    column.label(text=sure)
+    for share, below in spread.worst.items():
+        row = column.row(align=True)
+        row.progress(factor=below, text=f"Least sure {share:.0%}: below {below:.0%}")
+        select = row.operator("gskin.select_unsure_splats", text="", icon="RESTRICT_SELECT_OFF")
+        select.worst, select.below = 100 * share, 0.0
+    column.progress(factor=spread.median, text=f"Half of them: above {spread.median:.0%}")
 
 
 def wrap(text: str, width: int) -> list[str]:

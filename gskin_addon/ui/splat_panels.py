@@ -13,6 +13,14 @@ from ..scene.node_groups import DISPLAY_INPUTS, find_display
 from ..session.chosen import chosen_splats
 
 
+_EDITS = (
+    (("gskin.smooth_weights", "Smooth"), ("gskin.sharpen_weights", "Sharpen")),
+    (("gskin.assign_to_bone", "To Bone"), ("gskin.flood_weights", "Flood")),
+    (("gskin.follow_neighbours", "Follow Neighbours"), ("gskin.mirror_weights", "Mirror")),
+)
+"""Changes of the weights that are there, by operator and what its button says."""
+
+
 class _Child:
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
@@ -63,6 +71,15 @@ class GSKIN_PT_weights(_Child, bpy.types.Panel):
         row.operator("gskin.save_weights", text="Save...", icon="FILE_TICK")
         column.operator("gskin.bind_to_armature", icon="LINKED")
         column.operator("gskin.update_rotation_weights", icon="FILE_REFRESH")
+        column.separator()
+        for pair in _EDITS:
+            row = column.row(align=True)
+            for operator, text in pair:
+                row.operator(operator, text=text)
+        row = column.row(align=True)
+        row.operator("gskin.separate_parts", icon="MOD_EDGESPLIT")
+        row.operator("gskin.select_seams", text="", icon="RESTRICT_SELECT_OFF")
+        row.operator("gskin.clear_seams", text="", icon="X")
         column.separator()
         if proxy_of(chosen_splats(context)) is None:
             column.operator("gskin.anchor_to_mesh", icon="MESH_DATA")

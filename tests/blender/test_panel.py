@@ -17,6 +17,7 @@ bpy = pytest.importorskip("bpy")
 import pretend
 import worker_jobs as jobs
 
+from gskin_addon.core.rig.influences import Influences
 from gskin_addon.core.rig.weights_file import read_weights_file
 from gskin_addon.scene import names, rig_fit
 from gskin_addon.scene.anchored import proxy_of
@@ -64,11 +65,11 @@ def click(check: readiness.Check) -> set[str]:
     return getattr(getattr(bpy.ops, group), name)(**dict(check.options))
 
 
-def bind(splats, armature, confidence=None) -> None:
+def bind(splats, armature, confidence=None, start=None) -> None:
     count = len(splats.data.vertices)
     high = np.clip(read_cloud(splats).means[:, 2] / 2, 0, 1)
     weights = np.stack([1 - high, high], axis=1).astype(np.float32)
-    write_weights(splats, armature, weights, ["lower", "upper"], confidence=confidence)
+    write_weights(splats, armature, weights, ["lower", "upper"], confidence=confidence, start=start)
     assert len(splats.data.vertices) == count
 
 
@@ -408,6 +409,26 @@ def test_confidence_is_a_bar(scene, splats, armature):
     assert "75% of the splats are sure" in drawn()
     bind(splats, armature, confidence=np.ones(2000, np.float32))
     assert sure_share(splats) == 1.0
+
+
+def test_where_all_are_sure_the_panel_tells_the_least_sure_apart(scene, splats, armature):
+    sure = np.linspace(0.6, 1.0, 2000, dtype=np.float32)
+    start = "bone heat", Influences.strongest(np.full((2000, 2), 0.5, np.float32))
+    bind(splats, armature, confidence=sure, start=start)
+    lines = drawn()
+    assert not any("are sure" in line for line in lines)
+    assert {"Least sure 1%: below 60%", "Least sure 5%: below 62%", "Least sure 10%: below 64%"} <= set(lines)
+    assert "Half of them: above 80%" in lines
+    bpy.ops.gskin.compare_weights(show="BEFORE")  # these numbers are not about the weights that are shown now
+    assert not any("Least sure" in line for line in drawn())
+
+
+def test_the_two_sides_of_the_weights_are_a_toggle(scene, splats, armature):
+    assert "gskin.compare_weights: Bone heat" not in drawn()
+    bind(splats, armature, start=("bone heat", Influences.strongest(np.full((2000, 2), 0.5, np.float32))))
+    lines = drawn()
+    row = place(lines, "gskin.compare_weights: Bone heat")
+    assert lines[row : row + 2] == ["gskin.compare_weights: Bone heat", "gskin.compare_weights: Learned"]
 
 
 def test_the_weights_panel_has_a_click_for_each_way(scene, splats, armature):

@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What all operators share that change weights which are there already."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import bpy
+from numpy.typing import NDArray
+
+from ..core.errors import GSkinError, InputError
+from ..core.skinning.edits.body_graph import BodyGraph, body_graph
+from ..scene.bone_frames import armature_of
+from ..scene.seams import read_seams
+from ..scene.splat_object import read_cloud
+from ..scene.steps import Steps, run_for, run_to_end
+from ..scene.weight_edits import Change, iter_edit_weights, selected_splats, shows_selection
+from ..session.chosen import chosen_splats
+
+Array = NDArray[Any]
+
+TICK = 0.1
+"""Seconds between two looks at the work."""
+BUDGET = 0.05
+"""Seconds of slices in each."""
+
+
+class WeightEdit:
+    """Mixin of an operator: `changes` makes what works on the weights, here it is run, in slices where there is a
+    window, in the mode that the artist is in."""
+
+    bl_options = {"REGISTER", "UNDO"}
+    bl_label: str
+
+    needs_selection = False
+    """Whether it is for selected splats alone; else, where no selection is shown, for all."""
+
+    report: Callable[[set[str], str], None]
+
+    _steps: Steps[int] | None = None
+    _timer: bpy.types.Timer | None = None
+    _uid = (0, "")
+    _mode = ""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        splats = chosen_splats(context)
+        if splats is None or armature_of(splats) is None:
+            cls.poll_message_set("Select splats that follow an armature")  # type: ignore[attr-defined]
+            return False
+        return True
+
+    def changes(self, splats: bpy.types.Object, selected: Array | None) -> Change:
+        """The function from weights to weights. Reads Blender now, so that the function need not.
+
+        Raises InputError: options that cannot be used.
+        """
+        raise NotImplementedError
+
+    def words(self) -> str:
+        """What is to be said besides the number of splats that changed."""
+        return ""
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if bpy.app.background or context.window is None:
+            return self.execute(context)
+        if not self._begin(context):
+            return {"CANCELLED"}
+        self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
+        operator: Any = self
+        context.window_manager.modal_handler_add(operator)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if event.type == "ESC" and event.value == "PRESS":
+            return self._end(context, None, "Cancelled; no weights were changed.")
+        if event.type != "TIMER":
+            return {"RUNNING_MODAL"}  # nobody may change the splats meanwhile
+        try:
+            share = run_for(self._steps, BUDGET)
+        except StopIteration as stop:
+            return self._end(context, stop.value, "")
+        except GSkinError as error:
+            return self._end(context, None, error.plain)
+        if context.workspace is not None:
+            context.workspace.status_text_set(f"{self.bl_label}: {share:.0%}  (Esc cancels)")
+        return {"RUNNING_MODAL"}
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Blender ends the operator: another file is loaded, the window closes."""
+        self._steps.close()
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        if not self._begin(context):
+            return {"CANCELLED"}
+        try:
+            return self._end(context, run_to_end(self._steps), "")
+        except GSkinError as error:
+            return self._end(context, None, error.plain)
+
+    def _begin(self, context: bpy.types.Context) -> bool:
+        splats = chosen_splats(context)
+        try:
+            chosen = shows_selection(splats) or self.needs_selection
+            selected = selected_splats(splats) if chosen else None
+            if selected is not None and not selected.any():
+                raise InputError(f"No splats of '{splats.name}' are selected; select some in Edit Mode (Tab).")
+            self._mode = splats.mode
+            if splats.mode == "EDIT":
+                # Weights can only be read and written outside it.
+                context.view_layer.objects.active = splats
+                bpy.ops.object.mode_set(mode="OBJECT")
+            self._steps = iter_edit_weights(splats, self.changes(splats, selected), self.reached(splats, selected))
+        except GSkinError as error:
+            self._restore(splats)
+            self.report({"ERROR"}, error.plain)
+            return False
+        self._uid = (splats.session_uid, splats.name)
+        return True
+
+    def reached(self, splats: bpy.types.Object, selected: Array | None) -> Array | None:
+        """Splats (N,) bool that may change; None for all."""
+        return selected
+
+    def _end(self, context: bpy.types.Context, count: int | None, trouble: str) -> set[str]:
+        self._steps.close()
+        if self._timer is not None:
+            context.window_manager.event_timer_remove(self._timer)
+            self._timer = None
+        if context.workspace is not None:
+            context.workspace.status_text_set(None)
+        splats = chosen_splats(context)
+        if splats is not None:
+            self._restore(splats)
+        if count is None:
+            self.report({"ERROR"}, trouble)
+            return {"CANCELLED"}
+        self.report({"INFO"}, "; ".join(filter(None, (f"Weights of {count:,} splats changed", self.words()))))
+        return {"FINISHED"}
+
+    def _restore(self, splats: bpy.types.Object) -> None:
+        if self._mode == "EDIT" and splats.mode == "OBJECT":
+            bpy.ops.object.mode_set(mode="EDIT")
+        self._mode = ""
+
+
+def graph_of(splats: bpy.types.Object) -> Callable[[], BodyGraph]:
+    """A function that makes the graph of the body, in world space; reads Blender now."""
+    means, sides = read_cloud(splats).means, read_seams(splats)
+    return lambda: body_graph(means, walls=sides)
+
+
+def bone_column(splats: bpy.types.Object, name: str, bones: list[str]) -> int:
+    """The column of the bone `name`, or without a name of the active vertex group's. Raises InputError."""
+    active = splats.vertex_groups.active
+    wanted = name or (active.name if active is not None else "")
+    if wanted not in bones:
+        raise InputError(
+            f"'{wanted}' is no deform bone of the armature; choose a bone." if wanted else "Choose a bone."
+        )
+    return bones.index(wanted)
+
+
+def search_bones(operator: Any, context: bpy.types.Context, text: str) -> list[str]:
+    """Deform bones of the armature whose names hold `text`."""
+    armature = armature_of(chosen_splats(context))
+    return [bone.name for bone in armature.data.bones if bone.use_deform and text.lower() in bone.name.lower()]
+

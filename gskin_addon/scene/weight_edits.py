@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Changes of a splat object's weights in its vertex groups: of the selection, with locked groups kept to the bit."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Collection
+from typing import Any, TypeVar
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import InputError
+from ..core.skinning.edits.keep import keep
+from . import names
+from .armature import deform_bone_names
+from .binding import bind, check_splats
+from .bone_frames import armature_of, bone_order
+from .influences import strongest, write_influences
+from .object_ref import ObjectRef
+from .rotation_nodes import frames_of
+from .steps import Steps, part_of
+from .vertex_groups import GroupsAside
+from .weights import iter_read_weights
+
+Array = NDArray[Any]
+Result = TypeVar("Result")
+
+Change = Callable[[Array], Array]
+"""Weights (N, B) of the armature's deform bones to new ones; runs in a thread, without Blender."""
+
+_WAIT = 0.01  # seconds that one slice waits for the thread
+
+
+def iter_edit_weights(
+    obj: bpy.types.Object, change: Change, selected: Array | None = None, *, lock: Collection[str] = ()
+) -> Steps[int]:
+    """Let `change` work on the weights of `obj`; the number of splats whose weights are others now.
+
+    selected (N,) bool: only these change, all where left out. Groups that are locked, by the artist or by their name
+    in `lock`, keep their weights to the bit, as do those of no bone; changed rows sum to 1 and keep the strongest
+    `names.INFLUENCES` bones, which is what turns splats. Splats without any weight take part as the first bone's. In
+    slices; only the last one changes the scene.
+
+    Raises InputError: the object follows no armature, is in Edit Mode, or was changed meanwhile; all bones locked.
+    """
+    armature = armature_of(obj)
+    if armature is None:
+        raise InputError(f"'{obj.name}' follows no armature by weights of its own; bind it to one first.")
+    check_splats(obj)
+    ref, bones = ObjectRef(obj), deform_bone_names(armature)
+    locked = np.array([name in lock or _is_locked(obj, name) for name in bones])
+    if locked.all():
+        raise InputError(f"All vertex groups of '{obj.name}' are locked; unlock those that may change.")
+    painted, _ = yield from part_of(iter_read_weights(obj, bones), 0.0, 0.3)
+
+    def work() -> Array:
+        before = painted.copy()
+        before[before.sum(axis=1) <= 0, 0] = 1
+        return keep(painted, change(before), selected=selected, locked=locked, most=names.INFLUENCES)
+
+    after = yield from part_of(in_thread(work), 0.3, 0.6)
+    moved = after != painted
+    count = int(moved.any(axis=1).sum())
+    if not count:
+        return 0
+    obj = ref.find()
+    # A group that is made again comes last: those behind the first changed one, too, so that their order stays.
+    place = {group.name: group.index for group in obj.vertex_groups}
+    changed = {bones[i] for i in np.flatnonzero(moved.any(axis=0))}
+    first = min(place.get(name, len(place)) for name in changed)
+    again = [name for name in place if place[name] >= first and name in bones and not locked[bones.index(name)]]
+    again += [name for name in bones if name in changed and name not in place]
+    active = obj.vertex_groups.active.name if obj.vertex_groups.active is not None else ""
+    column = {name: bones.index(name) for name in again}
+    with GroupsAside(obj) as groups:
+        yield from part_of(groups.write(again, lambda i: np.ascontiguousarray(after[:, column[again[i]]])), 0.6, 0.95)
+        index, value = strongest(after, min(names.INFLUENCES, len(bones)))
+        value = np.where((after > 0).any(axis=1)[:, None], value, 0)
+        obj = groups.check()
+        frames = frames_of(obj) or bind(obj, armature)
+        obj = groups.commit()
+    if active in obj.vertex_groups:
+        obj.vertex_groups.active = obj.vertex_groups[active]
+    write_influences(obj, bone_order(frames), bones, index, value)
+    return count
+
+
+def locked_groups(obj: bpy.types.Object, bones: Collection[str]) -> list[str]:
+    """The bones whose vertex groups the artist has locked."""
+    return [name for name in bones if _is_locked(obj, name)]
+
+
+def _is_locked(obj: bpy.types.Object, group: str) -> bool:
+    return group in obj.vertex_groups and obj.vertex_groups[group].lock_weight
+
+
+def in_thread(function: Callable[[], Result]) -> Steps[Result]:
+    """Run the function, which must not touch Blender, beside it; a slice waits a moment. Raises what it raises."""
+    result: list[Result] = []
+    raised: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            result.append(function())
+        except BaseException as error:  # it is raised where the result is waited for
+            raised.append(error)
+
+    thread = threading.Thread(target=run, name="gskin", daemon=True)
+    thread.start()
+    while thread.is_alive():
+        thread.join(_WAIT)
+        yield 0.0
+    if raised:
+        raise raised[0]
+    return result[0]
+
+
+def selected_splats(obj: bpy.types.Object) -> Array:
+    """(N,) bool: the splats that are selected, as Edit Mode shows them, also while it is open."""
+    if obj.mode == "EDIT":
+        obj.update_from_editmode()
+    selected = np.zeros(len(obj.data.vertices), np.bool_)
+    obj.data.vertices.foreach_get("select", selected)
+    return selected
+
+
+def shows_selection(obj: bpy.types.Object) -> bool:
+    """Whether an artist sees which splats are selected: in Edit Mode, or in Weight Paint with vertex selection."""
+    return obj.mode == "EDIT" or (obj.mode == "WEIGHT_PAINT" and obj.data.use_paint_mask_vertex)
