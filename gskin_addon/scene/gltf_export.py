@@ -74,6 +74,15 @@ class SplatExport:
         """Before a clip is sampled."""
         play_companions(blender_object, blender_action)
 
+    def gather_gltf_hook(self, active: int, scenes: Any, animations: Any, export_settings: dict[str, Any]) -> None:
+        """When all is gathered: skinned splats become roots of their scene, their skins name the armature's node.
+
+        Blender hangs a skinned mesh under its armature. The positions are in world space, so whoever does not know
+        skins must not apply the armature's transform to them a second time.
+        """
+        for scene in scenes:
+            _make_roots(scene)
+
     def gather_mesh_hook(
         self,
         gltf2_mesh: Any,
@@ -152,6 +161,7 @@ def export_glb(
                 export_def_bones=deform_bones_only,
                 export_morph=False,
                 export_animations=animations,
+                export_anim_slide_to_zero=True,
                 export_materials="EXPORT",
                 **options,
             )
@@ -294,6 +304,31 @@ def _add_splats(gltf2_mesh: Any, cloud: SplatCloud) -> None:
     )
     if "JOINTS_0" in attributes:
         primitive.extras = {**(primitive.extras or {}), gltf.SKINNING_EXTRAS_NAME: dict(gltf.SKINNING_EXTRAS)}
+
+
+def _make_roots(scene: Any) -> None:
+    """Move the nodes of skinned splats to the top of the scene, without a transform, which skins ignore."""
+    waiting, splats = [(None, node) for node in scene.nodes], []
+    parents: dict[int, Any] = {}
+    while waiting:
+        parent, node = waiting.pop()
+        parents[id(node)] = parent
+        waiting += [(node, child) for child in node.children or ()]
+        if node.skin is not None and node.mesh is not None and _is_splat_mesh(node.mesh):
+            splats.append((parent, node))
+    for parent, node in splats:
+        carriers = {id(parents[id(joint)]): parents[id(joint)] for joint in node.skin.joints if id(joint) in parents}
+        tops = [carrier for carrier in carriers.values() if carrier not in node.skin.joints]
+        if node.skin.skeleton is None and len(tops) == 1 and tops[0] is not None:
+            node.skin.skeleton = tops[0]
+        node.translation = node.rotation = node.scale = node.matrix = None
+        if parent is not None:
+            parent.children = [child for child in parent.children if child is not node]
+            scene.nodes.append(node)
+
+
+def _is_splat_mesh(mesh: Any) -> bool:
+    return any(gltf.EXTENSION_NAME in (primitive.extensions or {}) for primitive in mesh.primitives)
 
 
 def _accessor(values: NDArray[Any]) -> Any:
