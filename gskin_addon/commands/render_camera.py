@@ -23,9 +23,13 @@ def run_camera(options: argparse.Namespace) -> None:
     if options.engine == "cycles" or options.color != "splats":
         raise InputError("--view camera draws splats in their own colours; leave out --engine and --color.")
     frames = parse_frames(options.frames)
-    from .pose import open_posed
+    from .pose import posed
 
-    open_posed(options)
+    with posed(options):
+        _render(options, frames)
+
+
+def _render(options: argparse.Namespace, frames: list[int]) -> None:
     import bpy
 
     from ..session.render_job import RenderJob

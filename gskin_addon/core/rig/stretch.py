@@ -74,7 +74,7 @@ def stretched_maps(maps: Array, turn: Array, moments: Array, uneven: Array) -> t
     own = np.where(np.einsum("nk,nk->n", own, turn)[:, None] < 0, -own, own)
     blended = normalize(turn + share[:, None] * (own - turn))
     rotation = quat_to_matrix(blended)
-    stretch = np.swapaxes(rotation, 1, 2) @ maps
+    stretch: Array = np.swapaxes(rotation, 1, 2) @ maps
     stretch = (stretch + np.swapaxes(stretch, 1, 2)) / 2 + _lost(blended, moments)
     return blended, rotation @ stretch
 
