@@ -151,13 +151,20 @@ def _pose(commands: Any) -> None:
 def _render(commands: Any) -> None:
     render = commands.add_parser(
         "render",
-        help="draw splats to a PNG",
-        description="Draw splats (.ply, .spz, .sog, ...) or rigged splats (.blend) in a pose to a PNG.",
+        help="draw splats to a picture",
+        description="Draw splats (.ply, .spz, .sog, ...) or rigged splats (.blend) in a pose to a PNG; with --view "
+        "camera all splats of a .blend from its scene's camera, with alpha, in the scene's resolution, behind its "
+        "other objects.",
         allow_abbrev=False,
     )
     render.add_argument("source", type=Path, metavar="SPLATS", help="splats, or .blend that `gskin rig` wrote")
     render.add_argument("--out", type=Path, required=True, metavar="IMAGE.png")
-    render.add_argument("--view", choices=VIEWS, default="front-left", help="(default: %(default)s)")
+    render.add_argument("--view", choices=(*VIEWS, "camera"), default="front-left", help="(default: %(default)s)")
+    render.add_argument("--frames", metavar="A-B", help="with --view camera: these frames, as 1-24 or 1-24x2")
+    render.add_argument("--resume", action="store_true", help="with --view camera: leave frames that are there")
+    render.add_argument(
+        "--depth", action="store_true", help="with --view camera: also depth, as Z of an .exr or beside a .png"
+    )
     render.add_argument("--size", type=_positive, default=512, metavar="PIXELS", help="(default: %(default)s)")
     render.add_argument(
         "--background", type=_unit, nargs=3, default=[1.0, 1.0, 1.0], metavar=("R", "G", "B"), help="0 to 1"
@@ -176,6 +183,7 @@ def _render(commands: Any) -> None:
     )
     _up(render, UP_AXES, "the splat file's up axis (default: by the format's rules, else z)")
     render.add_argument("--python", metavar="PYTHON", default="", help="the Python with numba that draws")
+    _progress(render)
     _front(render)
     _posing(render)
     _common(render)

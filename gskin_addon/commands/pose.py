@@ -38,7 +38,8 @@ def run(options: argparse.Namespace) -> None:
         elif kind == ".glb":
             from ..scene.gltf_export import export_glb
 
-            export_glb(options.out, [obj])
+            still = options.rotate or options.set or options.action or options.frame is not None
+            export_glb(options.out, [obj], posed=bool(still))
     if kind == ".blend":
         rig_files.save_blend(options.out)
     print_message(f"'{obj.name}' is posed in '{options.out}'.")
@@ -69,7 +70,7 @@ def posed(options: argparse.Namespace) -> Iterator[bpy.types.Object]:
     wanted = Pose(turns, settings, options.action, options.slot, options.frame)
     if armature is None and wanted:
         raise InputError(f"'{obj.name}' in '{options.source}' follows no armature; bind it with gskin rig.")
-    with shown([obj, proxy_of(obj), armature]):
+    with shown([obj, proxy_of(obj), armature], select=True):
         if armature is not None:
             for note in pose_still(obj, armature, wanted):
                 print_message(f"{note[:1].upper()}{note[1:]}.")
