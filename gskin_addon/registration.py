@@ -24,6 +24,7 @@ from .operators import (
     enable_deform,
     even_scale,
     export_glb,
+    fabric,
     fix_rig_scale,
     flood_weights,
     follow_neighbours,
@@ -35,13 +36,15 @@ from .operators import (
     pose_rig,
     remove_runtime,
     render_splats,
+    renew_display,
     repair_runtime,
     save_weights,
     separate_parts,
     sharpen_weights,
     smooth_weights,
 )
-from .scene import follow_display, follow_transforms, handlers, helpers, webp_images
+from .scene import fabric_view, follow_display, follow_transforms, handlers, helpers, webp_images
+from .scene.viewport import following as viewport_following
 from .scene.viewport import handler as viewport_handler
 from .session import guidance_settings, live_pictures, properties, render_settings, running_job
 from .ui import job_presets as job_presets_menu
@@ -71,6 +74,7 @@ MODULES = (
     center_rig,
     check_again,
     cleanup,
+    renew_display,
     bind,
     save_weights,
     export_glb,
@@ -83,6 +87,7 @@ MODULES = (
     mirror_weights,
     blend_weights,
     separate_parts,
+    fabric,
     compare,
     pose_rig,
     anchor,
@@ -100,6 +105,8 @@ MODULES = (
     follow_transforms,
     follow_display,
     viewport_handler,
+    viewport_following,
+    fabric_view,
 )
 
 

@@ -73,6 +73,7 @@ class GSKIN_PT_main(bpy.types.Panel):
         if settings.guidance != NO_GUIDANCE or settings.init == "visibility":
             body.prop(settings, "front")
         body.prop(settings, "max_influences")
+        body.prop(settings, "paintable")
 
     def _draw_chosen(self, context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
         """Say which objects the selection stands for, where no object is named."""
