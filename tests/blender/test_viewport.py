@@ -296,6 +296,28 @@ def test_hidden_objects_are_not_shown():
     assert not shown()
 
 
+def test_instances_of_a_collection_are_shown_where_they_are():
+    obj, _ = bound(degree=0)
+    source = bpy.data.collections.new("Source")
+    bpy.context.scene.collection.objects.unlink(obj)
+    source.objects.link(obj)
+    empties = []
+    for place in ((3.0, 0.0, 0.0), (-3.0, 0.0, 1.0)):
+        empty = bpy.data.objects.new("Copy", None)
+        empty.instance_type, empty.instance_collection, empty.location = "COLLECTION", source, place
+        bpy.context.scene.collection.objects.link(empty)
+        empties.append(empty)
+    empties[0].rotation_euler.z = 1.0
+    bpy.context.view_layer.update()
+    shown = visible.shown_objects(bpy.context)
+    assert {one.obj for one in shown} == set(empties)
+    for one in shown:
+        wanted = np.array(one.obj.matrix_world) @ np.array(obj.matrix_world)
+        np.testing.assert_allclose(one.splats.matrix, wanted, atol=1e-5)
+    empties[1].hide_set(True)
+    assert [one.obj for one in visible.shown_objects(bpy.context)] == [empties[0]]
+
+
 def test_the_thread_runs_the_newest_job_of_each_asker():
     sorter, gate = Sorter(), threading.Event()
     ran = []
