@@ -209,6 +209,14 @@ def hiding(stage: Stage, studio: Studio) -> Story:
         bpy.ops.view3d.localview(frame_selected=False)
     bpy.data.objects.remove(cube)
     studio.look((0.0, 0.0, 0.83), 3.1)
+    yield from studio.settled()
+    x, y = studio.view.middle()
+    yield from studio.hands.click(x, y)
+    yield stage.soon(obj.select_get, 5.0)
+    stage.check("a click on the splats selects them", obj.select_get())
+    yield from studio.hands.click(x - 300, y + 200)
+    yield stage.soon(lambda: not obj.select_get(), 5.0)
+    stage.check("a click beside them selects nothing", not obj.select_get())
     obj.select_set(True)
 
 
