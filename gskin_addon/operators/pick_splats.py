@@ -7,6 +7,7 @@ from typing import Any
 
 import bpy
 import numpy as np
+from bpy_extras import view3d_utils
 
 from ..core.render.picking import pick
 from ..scene.viewport.visible import shown_objects
@@ -27,23 +28,41 @@ class GSKIN_OT_pick_splats(bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         if context.mode != "OBJECT" or context.region_data is None or context.region is None:
             return False
-        # Blender's own selection has had its turn, on pressing the button.
         return getattr(context.window_manager.keyconfigs.active.preferences, "select_mouse", "LEFT") == "LEFT"
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if not self.extend and context.selected_objects:
-            return {"PASS_THROUGH"}
         shown, camera, region = shown_objects(context), context.region_data, context.region
-        number = pick(
+        at = event.mouse_region_x, event.mouse_region_y
+        found = pick(
             [one.splats for one in shown], np.array(camera.view_matrix), np.array(camera.window_matrix),
-            (region.height, region.width), (event.mouse_region_x + 0.5, region.height - event.mouse_region_y - 0.5),
+            (region.height, region.width), (at[0] + 0.5, region.height - at[1] - 0.5),
         )  # fmt: skip
-        if number is None or shown[number].obj.hide_select:
+        if found is None or shown[found[0]].obj.hide_select:
             return {"PASS_THROUGH"}
-        obj = shown[number].obj
-        obj.select_set(not (self.extend and obj.select_get() and obj == context.view_layer.objects.active))
+        # What Blender itself finds there goes first, as bones in front, unless it is a surface behind the splats.
+        before = set(context.selected_objects)
+        bpy.ops.view3d.select(location=at, toggle=self.extend, deselect_all=not self.extend)
+        after = set(context.selected_objects)
+        others = after ^ before if self.extend else after
+        if others and not (len(others) == 1 and _is_behind(context, next(iter(others)), at, found[1])):
+            return {"FINISHED"}
+        obj = shown[found[0]].obj
+        for other in others:
+            other.select_set(self.extend and other in before)
+        obj.select_set(not (self.extend and obj in before))
         context.view_layer.objects.active = obj
         return {"FINISHED"}
+
+
+def _is_behind(context: bpy.types.Context, obj: bpy.types.Object, at: tuple[int, int], depth: float) -> bool:
+    """Whether the first surface at a place of the region is the object's, and farther than `depth` metres."""
+    if obj.show_in_front:
+        return False
+    region, camera = context.region, context.region_data
+    start = view3d_utils.region_2d_to_origin_3d(region, camera, at)
+    along = view3d_utils.region_2d_to_vector_3d(region, camera, at)
+    hit, place, _, _, found, _ = context.scene.ray_cast(context.view_layer.depsgraph, start, along)
+    return bool(hit) and found.original == obj and -(camera.view_matrix @ place).z > depth
 
 
 CLASSES = (GSKIN_OT_pick_splats,)

@@ -217,6 +217,19 @@ def hiding(stage: Stage, studio: Studio) -> Story:
     yield from studio.hands.click(x - 300, y + 200)
     yield stage.soon(lambda: not obj.select_get(), 5.0)
     stage.check("a click beside them selects nothing", not obj.select_get())
+    for way, place in (("behind", -1.2), ("before", 1.2)):
+        center = mathutils.Vector((0, 0, 0.83)) + place * direction
+        with studio.view.override():
+            bpy.ops.mesh.primitive_uv_sphere_add(radius=0.2, location=center)
+        sphere = bpy.context.view_layer.objects.active
+        yield from studio.settled()
+        yield from studio.hands.click(x, y)
+        yield stage.soon(lambda sphere=sphere, way=way: (obj if way == "behind" else sphere).select_get(), 5.0)
+        good = obj.select_get() == (way == "behind") and sphere.select_get() == (way == "before")
+        stage.check(f"with a sphere {way} them a click selects what is seen", good)
+        bpy.data.objects.remove(sphere)
+    with studio.view.override():
+        bpy.ops.object.select_all(action="DESELECT")
     obj.select_set(True)
 
 

@@ -21,8 +21,9 @@ _REACH = 3.4
 
 def pick(
     objects: Sequence[DrawnSplats], view: ArrayLike, projection: ArrayLike, size: tuple[int, int], pixel: ArrayLike
-) -> int | None:
-    """The object with the largest share of the pixel's colour; None where splats cover less than `SEEN` of it.
+) -> tuple[int, float] | None:
+    """The object with the largest share of the pixel's colour, and the depth in metres at which splats have covered
+    half of it; None where they cover less than `SEEN`.
 
     view, projection (4, 4) as OpenGL has them, size: (height, width), pixel: (x, y) from the upper left corner.
     """
@@ -31,12 +32,12 @@ def pick(
     alpha, depth = (np.concatenate([one[k] for one in found]) if found else np.zeros(0) for k in range(2))
     owner = np.repeat(np.arange(len(found)), [len(one[0]) for one in found])
     order = np.argsort(depth)
-    alpha, owner = alpha[order], owner[order]
+    alpha, owner, depth = alpha[order], owner[order], depth[order]
     left = np.cumprod(1.0 - alpha)
     if len(alpha) == 0 or 1.0 - left[-1] < SEEN:
         return None
     shares = np.bincount(owner, alpha * np.concatenate([[1.0], left[:-1]]), len(found))
-    return int(np.argmax(shares))
+    return int(np.argmax(shares)), float(depth[np.argmax(left <= 1.0 - SEEN)])
 
 
 def _alphas_at(

@@ -8,12 +8,17 @@ import pytest
 
 from gskin_addon.core.render.camera import look_at
 from gskin_addon.core.render.drawn_splats import DrawnSplats
-from gskin_addon.core.render.picking import pick
+from gskin_addon.core.render.picking import pick as pick_with_depth
 from gskin_addon.core.render.screen_space import camera_matrices, project
 
 SIZE = (120, 160)
 VIEW, PERSPECTIVE = camera_matrices(look_at((0, -4, 0), (0, 0, 0), size=SIZE))
 PARALLEL = np.diag([0.5, 0.5 * SIZE[1] / SIZE[0], -0.02, 1.0])
+
+
+def pick(*arguments):
+    found = pick_with_depth(*arguments)
+    return None if found is None else found[0]
 
 
 def ball(place, opacity: float = 0.9, count: int = 300, seed: int = 0, matrix=None) -> DrawnSplats:
@@ -49,6 +54,12 @@ def test_the_nearer_object_hides_the_farther_one(projection):
     assert pick([far, near], VIEW, projection, SIZE, at) == 1
     assert pick([faint, far], VIEW, projection, SIZE, at) == 1, "one can see through faint splats"
     assert pick([faint], VIEW, projection, SIZE, at) is None
+
+
+def test_the_depth_is_that_of_the_surface():
+    for projection in (PERSPECTIVE, PARALLEL):
+        _, depth = pick_with_depth([ball((0, 0, 0))], VIEW, projection, SIZE, pixel_of((0, 0, 0), projection))
+        assert depth == pytest.approx(3.7, abs=0.1)
 
 
 def test_objects_are_where_their_matrices_put_them():
