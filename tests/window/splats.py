@@ -345,7 +345,7 @@ def failing(stage: Stage, studio: Studio) -> Story:
 
     module.draw_into = broken
     studio.look((0.0, 0.0, 0.8), 3.0)
-    yield from studio.settled()
+    studio.view.area.tag_redraw()
     yield lambda: not drawn(obj)
     stage.check("an error of the drawing is kept for the panel", "made up by the test" in switch.failure)
     yield from studio.picture("s80_failed")
