@@ -23,7 +23,7 @@ from .node_builder import Tree, add_modifier, find_group, geometry_group, get_in
 from .octahedra import CORNERS, ensure_octahedra, octahedra_count
 from .viewport.nodes import shader_points
 
-VERSION = 4
+VERSION = 5
 
 VIEWPORT_LIMIT = 100_000
 VIEWPORT_SIGMAS = 1.6
@@ -226,7 +226,10 @@ def _build(group: bpy.types.NodeTree) -> None:
     if has_native_splats():
         inputs = {"Switch": tree.output(source, NATIVE), "False": drawn, "True": _native(tree, source)}
         drawn = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
-    inputs = {"Switch": tree.output(source, "Display"), "False": splats, "True": drawn}
+    # Without a display nothing is seen of the fabric either, see `fabric.py`.
+    inputs = {"Geometry": splats}
+    bare = tree.out("GeometryNodeDeleteGeometry", "Geometry", inputs, domain="EDGE", mode="EDGE_FACE")
+    inputs = {"Switch": tree.output(source, "Display"), "False": bare, "True": drawn}
     result = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
     tree.node("NodeGroupOutput", {"Geometry": result})
 
