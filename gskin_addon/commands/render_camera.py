@@ -23,9 +23,15 @@ def run_camera(options: argparse.Namespace) -> None:
     if options.engine == "cycles" or options.color != "splats":
         raise InputError("--view camera draws splats in their own colours; leave out --engine and --color.")
     frames = parse_frames(options.frames)
-    from .pose import open_posed
+    from .pose import posed
 
-    open_posed(options)
+    with posed(options):
+        sentence = _render(options, frames)
+    print_message(sentence + ".")
+
+
+def _render(options: argparse.Namespace, frames: list[int]) -> str:
+    """Render the open scene; a sentence about what was written."""
     import bpy
 
     from ..session.render_job import RenderJob
@@ -48,7 +54,7 @@ def run_camera(options: argparse.Namespace) -> None:
             job.wait(printer)
     finally:
         sentence = job.close()
-    print_message(sentence + ".")
+    return sentence
 
 
 def parse_frames(text: str | None) -> list[int]:
