@@ -26,12 +26,10 @@ def run_camera(options: argparse.Namespace) -> None:
     from .pose import posed
 
     with posed(options):
-        sentence = _render(options, frames)
-    print_message(sentence + ".")
+        _render(options, frames)
 
 
-def _render(options: argparse.Namespace, frames: list[int]) -> str:
-    """Render the open scene; a sentence about what was written."""
+def _render(options: argparse.Namespace, frames: list[int]) -> None:
     import bpy
 
     from ..session.render_job import RenderJob
@@ -54,7 +52,7 @@ def _render(options: argparse.Namespace, frames: list[int]) -> str:
             job.wait(printer)
     finally:
         sentence = job.close()
-    return sentence
+    print_message(sentence + ".")
 
 
 def parse_frames(text: str | None) -> list[int]:

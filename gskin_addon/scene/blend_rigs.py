@@ -39,7 +39,7 @@ def append_rig(path: Path, choose: Choose) -> bpy.types.Object:
         for layer in scene.view_layers:
             layer.update()
     found = [obj for obj in target.objects if obj is not None]
-    armature, instance = _armature_in(found, path, choose)
+    armature, instance = _armature_in(found, scenes, path, choose)
     hidden = _hidden(armature if instance is None else instance, scenes)
     armature = make_local(armature)
     needed = needed_objects(armature)
@@ -80,21 +80,33 @@ def make_local(armature: bpy.types.Object) -> bpy.types.Object:
 
     Gives the local armature. Raises InputError where a library is missing.
     """
-    armature = _local(armature)
+    copies: dict[Any, Any] = {}
+    armature = _local(armature, copies)
     while True:
         foreign = next((ident for ident in _idents(armature) if _is_foreign(ident)), None)
         if foreign is None:
             return armature
-        _local(foreign)
+        _local(foreign, copies)
 
 
-def _local(ident: Any) -> Any:
+def _local(ident: Any, copies: dict[Any, Any]) -> Any:
+    """The local version of a datablock, which all local users get; one for each, however often it is met."""
+    if not _is_foreign(ident):
+        return ident
     if getattr(ident, "is_missing", False):
         path = ident.library.filepath if ident.library is not None else "?"
         raise InputError(f"'{ident.name}' is linked from '{path}', which is missing; put that file back.")
-    local = ident.make_local(clear_liboverride=True) if _is_foreign(ident) else ident
+    local = copies.get(ident)
+    if local is None:
+        # What only linked data uses stays linked: then a copy is needed.
+        local = ident.make_local(clear_liboverride=True)
+        if local is None or _is_foreign(local):
+            local = ident.copy()
     if local is None or _is_foreign(local):
         raise InputError(f"'{ident.name}' is linked and cannot be made local; do it in Blender (Object > Relations).")
+    if local != ident:
+        copies[ident] = local
+        ident.user_remap(local)
     return local
 
 
@@ -116,18 +128,24 @@ def _idents(armature: bpy.types.Object) -> list[Any]:
 
 
 def _armature_in(
-    objects: list[bpy.types.Object], path: Path, choose: Choose
+    objects: list[bpy.types.Object], scenes: list[bpy.types.Scene], path: Path, choose: Choose
 ) -> tuple[bpy.types.Object, bpy.types.Object | None]:
-    """The chosen armature, and the instance of a collection that it is in where the file has no other."""
-    direct = [obj for obj in objects if obj.type == "ARMATURE" and obj.library is None]
-    if direct:
-        return choose(direct), None
+    """The chosen armature, and the instance of a collection that it is in where no scene of the file has one itself.
+
+    In no scene at all it may still lie in the file.
+    """
+    seen = [obj for scene in scenes for obj in scene.objects]
+    placed = [obj for obj in seen if obj.type == "ARMATURE"]
     places: dict[bpy.types.Object, list[bpy.types.Object]] = {}
-    for obj in objects:
+    for obj in seen or objects:
         if obj.instance_type == "COLLECTION" and obj.instance_collection is not None:
             for inner in obj.instance_collection.all_objects:
-                if inner.type == "ARMATURE":
+                if inner.type == "ARMATURE" and inner not in placed:
                     places.setdefault(inner, []).append(obj)
+    loose = [obj for obj in objects if obj.type == "ARMATURE" and obj not in placed and obj not in places]
+    direct = placed or ([] if places else loose)
+    if direct:
+        return choose(list(dict.fromkeys(direct))), None
     armature = choose(list(places))
     if len(places[armature]) > 1:
         names = ", ".join(f"'{obj.name}'" for obj in places[armature])

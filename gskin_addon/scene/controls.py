@@ -7,7 +7,9 @@ found by trying.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,9 +18,10 @@ import mathutils
 
 from .dependencies import driver_targets, pointed_objects
 
-NEAR, FAR = 0.02, 0.5
-"""Radians (and parts of the bone's length) by which a control may miss: to be named as it, or at all."""
-_TRIED = 24
+MISS = 0.3
+"""Part of the asked angle by which a control may turn a bone otherwise, as twist that is spread over a limb does."""
+_TRIED = 32
+"""The most controls that are tried, the nearest first."""
 
 INNER = ("DEF-", "ORG-", "MCH-")
 """What rigs call bones that no artist is to touch."""
@@ -45,28 +48,24 @@ class Control:
 def find_control(
     armature: bpy.types.Object, bone: str, turn: Callable[[str], None], restore: Callable[[], None]
 ) -> Control | None:
-    """The control that turns `bone` as turn(bone) would if the bone were free; None where none does.
+    """The control that turns `bone` as turn(bone) would if the bone were free, and the fewest others; None if none.
 
     turn turns a bone by its name, as wanted; restore takes all turns back. The rig's pose must be at rest from turns.
     """
-    wanted = _wanted(armature, bone, turn, restore)
-    candidates = [name for name in sources(armature, bone) if name != bone]
-    candidates.sort(key=lambda name: name.startswith(INNER))
-    plain = _best(armature, bone, wanted, candidates, turn, restore)
-    if plain is not None and plain[0] <= NEAR:
-        return Control(plain[1])
-    for owner, prop in switches(armature, [bone, *candidates]):
-        holder: Any = armature.pose.bones[owner]
-        before = holder[prop]
-        other = type(before)(0 if before >= 0.5 else 1)
-        try:
-            _set(armature, owner, prop, other)
-            found = _best(armature, bone, wanted, candidates, turn, restore)
-        finally:
-            _set(armature, owner, prop, before)
-        if found is not None and found[0] <= NEAR:
-            return Control(found[1], owner, prop, float(other))
-    return Control(plain[1]) if plain is not None and plain[0] <= FAR else None
+    chosen: tuple[float, Control] | None = None
+    # What only shifts a part of a limb is no control of the bone.
+    candidates = [name for name in controls(armature, bone) if "tweak" not in name][:_TRIED]
+    with _without_followers(armature):
+        found = _best(armature, bone, candidates, turn, restore)
+        if found is not None:
+            chosen = found[0], Control(found[1])
+        for owner, prop in switches(armature, [bone, *sources(armature, bone)]):
+            with switched(armature, owner, prop) as value:
+                found = _best(armature, bone, candidates, turn, restore)
+            # Something has to be set first: worth it where it spares other bones.
+            if found is not None and (chosen is None or found[0] < 0.7 * chosen[0]):
+                chosen = found[0], Control(found[1], owner, prop, value)
+    return None if chosen is None else chosen[1]
 
 
 def sources(armature: bpy.types.Object, bone: str) -> list[str]:
@@ -80,6 +79,12 @@ def sources(armature: bpy.types.Object, bone: str) -> list[str]:
                 found.append(other)
                 waiting.append(other)
     return found[1:]
+
+
+def controls(armature: bpy.types.Object, bone: str) -> list[str]:
+    """Bones of the same armature that a bone follows and that artists touch, the nearest first; not its parents."""
+    parents = {parent.name for parent in armature.pose.bones[bone].parent_recursive}
+    return [name for name in sources(armature, bone) if name not in parents and not name.startswith(INNER)]
 
 
 def outer_sources(armature: bpy.types.Object, bone: str) -> list[str]:
@@ -105,20 +110,46 @@ def why_held(armature: bpy.types.Object, bone: str) -> str:
     return ""
 
 
-def switches(armature: bpy.types.Object, bones: list[str]) -> list[tuple[str, str]]:
+def switches(armature: bpy.types.Object, bones: Iterable[str]) -> list[tuple[str, str]]:
     """Custom properties (bone, name) between 0 and 1 that drive how much the bones' constraints count."""
-    found = []
+    found: dict[tuple[str, str], None] = {}
     for bone in bones:
         for fcurve in _drivers_of(armature, bone):
             if ".constraints[" not in fcurve.data_path:
                 continue
             for ident, path in driver_targets(fcurve):
                 owner, prop = _bone_property(path)
-                if ident == armature and owner in armature.pose.bones and (owner, prop) not in found:
+                if ident == armature and owner in armature.pose.bones:
                     value: Any = armature.pose.bones[owner].get(prop)
                     if isinstance(value, (int, float)) and 0 <= value <= 1:
-                        found.append((owner, prop))
-    return found[:6]
+                        found[owner, prop] = None
+    return list(found)
+
+
+def followers(armature: bpy.types.Object, bone: str) -> list[str]:
+    """Bones of the same armature that constraints, drivers or parents let follow `bone`, switched on or not."""
+    chains = _ik_chains(armature)
+    direct: dict[str, list[str]] = {}
+    for other in armature.pose.bones:
+        for source in _direct(armature, other.name, chains):
+            direct.setdefault(source, []).append(other.name)
+    found = [bone]
+    for name in found:
+        found += [other for other in dict.fromkeys(direct.get(name, ())) if other not in found]
+    return found[1:]
+
+
+@contextmanager
+def switched(armature: bpy.types.Object, owner: str, prop: str) -> Iterator[float]:
+    """Inside the block a custom property between 0 and 1 has the other value, which the block is given."""
+    holder: Any = armature.pose.bones[owner]
+    before = holder[prop]
+    other = type(before)(0 if before >= 0.5 else 1)
+    try:
+        _set(armature, owner, prop, other)
+        yield float(other)
+    finally:
+        _set(armature, owner, prop, before)
 
 
 def set_property(armature: bpy.types.Object, owner: str, prop: str, value: float) -> None:
@@ -193,44 +224,59 @@ def _matrix(armature: bpy.types.Object, bone: str) -> mathutils.Matrix:
     return evaluated.pose.bones[bone].matrix.copy()
 
 
-def _wanted(
-    armature: bpy.types.Object, bone: str, turn: Callable[[str], None], restore: Callable[[], None]
-) -> mathutils.Matrix:
-    """Where the bone would be if it were free: its present matrix, turned in its own axes as its channels are."""
-    present, holder = _matrix(armature, bone), armature.pose.bones[bone]
-    before = holder.matrix_basis.to_quaternion()
-    turn(bone)
-    own = before.inverted() @ holder.matrix_basis.to_quaternion()
-    restore()
-    return present @ own.to_matrix().to_4x4()
-
-
 def _best(
     armature: bpy.types.Object,
     bone: str,
-    wanted: mathutils.Matrix,
     candidates: list[str],
     turn: Callable[[str], None],
     restore: Callable[[], None],
 ) -> tuple[float, str] | None:
-    """How far the best candidate misses, and its name; None where none moves the bone."""
-    length = max(armature.data.bones[bone].length, 1e-9)
-    before = _matrix(armature, bone)
+    """How many bones the best candidate moves, and its name; None where none turns the bone as wanted."""
+    before = _matrices(armature)
+    own = armature.pose.bones[bone].matrix_basis.to_quaternion()
+    turn(bone)
+    asked = own.inverted() @ armature.pose.bones[bone].matrix_basis.to_quaternion()
+    restore()
+    wanted = before[bone].to_quaternion() @ asked
     best: tuple[float, str] | None = None
-    for name in candidates[:_TRIED]:
+    for name in candidates:
         turn(name)
-        after = _matrix(armature, bone)
+        after = _matrices(armature)
         restore()
-        if _miss(before, after, length) < 1e-3:
+        if _angle(wanted, after[bone].to_quaternion()) > MISS * max(asked.angle, 1e-6):
             continue
-        miss = _miss(wanted, after, length)
-        if best is None or miss < best[0] - 1e-4:
-            best = miss, name
-        if miss <= NEAR:
-            break
+        moved = sum(_angle(before[b].to_quaternion(), after[b].to_quaternion()) > 1e-3 for b in before)
+        if best is None or moved < best[0]:
+            best = float(moved), name
     return best
 
 
-def _miss(a: mathutils.Matrix, b: mathutils.Matrix, length: float) -> float:
-    turn = a.to_quaternion().rotation_difference(b.to_quaternion()).angle
-    return float(min(turn, 2 * 3.141592653589793 - turn) + (a.translation - b.translation).length / length)
+def _matrices(armature: bpy.types.Object) -> dict[str, mathutils.Matrix]:
+    """Evaluated matrices of the pose bones, in the armature's space."""
+    bpy.context.view_layer.update()
+    evaluated = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    return {bone.name: bone.matrix.copy() for bone in evaluated.pose.bones}
+
+
+def _angle(a: mathutils.Quaternion, b: mathutils.Quaternion) -> float:
+    angle = float(a.rotation_difference(b).angle)
+    return min(angle, 2 * math.pi - angle)
+
+
+@contextmanager
+def _without_followers(armature: bpy.types.Object) -> Iterator[None]:
+    """Meshes that follow the armature are not deformed inside the block: trying is about bones, and quick so."""
+    modifiers: list[Any] = [
+        modifier
+        for obj in bpy.data.objects
+        if any(getattr(modifier, "object", None) == armature for modifier in obj.modifiers)
+        for modifier in obj.modifiers
+        if modifier.show_viewport
+    ]
+    for modifier in modifiers:
+        modifier.show_viewport = False
+    try:
+        yield
+    finally:
+        for modifier in modifiers:
+            modifier.show_viewport = True

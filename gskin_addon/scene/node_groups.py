@@ -232,7 +232,10 @@ def _build(group: bpy.types.NodeTree) -> None:
     if has_native_splats():
         inputs = {"Switch": tree.output(source, NATIVE), "False": drawn, "True": _native(tree, source)}
         drawn = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
-    inputs = {"Switch": tree.output(source, "Display"), "False": splats, "True": drawn}
+    # Without a display nothing is seen of the fabric either, see `fabric.py`.
+    inputs = {"Geometry": splats}
+    bare = tree.out("GeometryNodeDeleteGeometry", "Geometry", inputs, domain="EDGE", mode="EDGE_FACE")
+    inputs = {"Switch": tree.output(source, "Display"), "False": bare, "True": drawn}
     result = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
     tree.node("NodeGroupOutput", {"Geometry": result})
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import bpy
@@ -18,7 +18,7 @@ from ..core.splats.cloud import SplatCloud
 from .anchored import proxy_of
 from .armature import bends_of, pose_transforms_of
 from .bone_frames import armature_of
-from .controls import INNER, find_control, outer_sources, sources, why_held
+from .controls import controls, find_control, outer_sources, why_held
 from .deform_stack import beyond_linear_blending, measured_deform
 from .proxy_object import posed_anchored
 from .splat_object import read_cloud, to_world
@@ -49,7 +49,7 @@ def turn_bones(
             )
     with shown([armature]):
         bpy.context.view_layer.update()
-        before = {name: _channels(armature.pose.bones[name]) for name in turns}
+        before = channels(armature, turns)
         for name, vector in turns.items():
             _turn(armature, name, vector)
         asked = {name: armature.pose.bones[name].matrix_basis.copy() for name in turns}
@@ -82,6 +82,27 @@ def hold_pose(armature: bpy.types.Object) -> list[str]:
         names = ", ".join(f"'{track.name}'" for track in playing)
         notes.append(f"NLA tracks of '{armature.name}' were muted, so that the pose stays: {names}")
     return notes
+
+
+Channels = Mapping[str, tuple[float, ...]]
+"""Rotations of pose bones, each as its rotation mode keeps them, by bone."""
+
+
+def channels(armature: bpy.types.Object, names: Iterable[str] | None = None) -> Channels:
+    """Rotations of the named pose bones (default: of all) to come back to with `restore`."""
+    bones = armature.pose.bones
+    return {
+        name: tuple(getattr(bones[name], _CHANNELS.get(bones[name].rotation_mode, "rotation_euler")))
+        for name in (bones.keys() if names is None else names)
+    }
+
+
+def restore(armature: bpy.types.Object, before: Channels) -> None:
+    """Set what `channels` took."""
+    for name, values in before.items():
+        bone = armature.pose.bones[name]
+        setattr(bone, _CHANNELS.get(bone.rotation_mode, "rotation_euler"), values)
+    bpy.context.view_layer.update()
 
 
 def pose_matrices(armature: bpy.types.Object) -> dict[str, mathutils.Matrix]:
@@ -156,17 +177,6 @@ def _angle(rotation: mathutils.Quaternion) -> float:
     return float(min(rotation.angle, 2 * np.pi - rotation.angle))
 
 
-def _channels(bone: bpy.types.PoseBone) -> tuple[float, ...]:
-    return tuple(getattr(bone, _CHANNELS.get(bone.rotation_mode, "rotation_euler")))
-
-
-def _restore(armature: bpy.types.Object, before: Mapping[str, tuple[float, ...]]) -> None:
-    for name, values in before.items():
-        bone = armature.pose.bones[name]
-        setattr(bone, _CHANNELS.get(bone.rotation_mode, "rotation_euler"), values)
-    bpy.context.view_layer.update()
-
-
 def _all_free(armature: bpy.types.Object, asked: Mapping[str, mathutils.Matrix]) -> bool:
     """Whether these bones are evaluated as asked, by their own matrices; not so where others have a say.
 
@@ -186,10 +196,10 @@ def _all_free(armature: bpy.types.Object, asked: Mapping[str, mathutils.Matrix])
 
 
 def _one_by_one(
-    armature: bpy.types.Object, turns: Mapping[str, Sequence[float]], before: Mapping[str, tuple[float, ...]]
+    armature: bpy.types.Object, turns: Mapping[str, Sequence[float]], before: Channels
 ) -> list[str]:
     """Turn the bones after each other and look at each before and after."""
-    _restore(armature, before)
+    restore(armature, before)
     notes = []
     for name, vector in turns.items():
         asked = _angle(_quaternion(vector))
@@ -198,7 +208,7 @@ def _one_by_one(
         bpy.context.view_layer.update()
         got = _angle(last.rotation_difference(pose_matrices(armature)[name].to_quaternion()))
         if asked > _SAME and got < max(_SAME, 0.02 * asked):
-            _restore(armature, before)
+            restore(armature, before)
             raise InputError(_held(armature, name, vector, before))
         if abs(asked - got) > max(_SAME, 0.02 * asked):
             words = f"'{name}' turned by {np.degrees(got):.0f} of {np.degrees(asked):.0f} degrees"
@@ -208,20 +218,19 @@ def _one_by_one(
 
 
 def _held(
-    armature: bpy.types.Object, name: str, vector: Sequence[float], before: Mapping[str, tuple[float, ...]]
+    armature: bpy.types.Object, name: str, vector: Sequence[float], before: Channels
 ) -> str:
     """Why a bone does not turn, and what to turn instead."""
     if armature.data.pose_position == "REST":
         return f"Armature '{armature.name}' is in Rest Position, in which no bone turns; set it to Pose Position."
-    every = {bone.name: _channels(bone) for bone in armature.pose.bones}
+    every = channels(armature)
     control = find_control(
-        armature, name, lambda other: _turn(armature, other, vector), lambda: _restore(armature, every)
+        armature, name, lambda other: _turn(armature, other, vector), lambda: restore(armature, every)
     )
-    _restore(armature, before)
+    restore(armature, before)
     reason = why_held(armature, name) or "does not follow its channels"
     words = f"Bone '{name}' of '{armature.name}' cannot be turned, because its rotation {reason}"
     if control is not None:
         return f"{words}; {control}."
-    others = [bone for bone in sources(armature, name) if not bone.startswith(INNER)][:3]
-    found = ", ".join(f"'{other}'" for other in [*outer_sources(armature, name), *others])
+    found = ", ".join(f"'{other}'" for other in [*outer_sources(armature, name), *controls(armature, name)[:3]])
     return f"{words}; move or change what it follows instead: {found}." if found else f"{words}."

@@ -15,9 +15,9 @@ from ..core.errors import InputError
 from .actions import assign, belongs, choose_part, parts_of
 from .anchored import proxy_of
 from .armature import deform_bone_names, pose_transforms_of
-from .controls import set_property, switches
+from .controls import followers, set_property, switched, switches
 from .dependencies import is_animated, needed_objects, unheard_drivers
-from .posing import hold_pose, pose_matrices, turn_bones
+from .posing import Channels, channels, hold_pose, pose_matrices, restore, turn_bones
 from .weights import read_weights
 
 Array = NDArray[Any]
@@ -111,12 +111,12 @@ def _turn(
     notes, idle, moved = [], [], False
     carrying = _carrying_bones(obj, armature)
     for name, vector in turns.items():
-        before = _transforms(armature, carrying)
+        before, pose = _transforms(armature, carrying), channels(armature)
         notes += turn_bones(armature, {name: vector})
         if np.abs(_transforms(armature, carrying) - before).max(initial=0.0) >= _MOVED:
             moved = True
         elif any(vector):
-            idle.append(_moves_nothing(obj, armature, name, vector, carrying))
+            idle.append(_moves_nothing(obj, armature, name, carrying, pose))
     if idle and not moved:
         raise InputError(f"{idle[0]}.")
     return notes + idle
@@ -135,24 +135,19 @@ def _transforms(armature: bpy.types.Object, bones: list[str]) -> Array:
 
 
 def _moves_nothing(
-    obj: bpy.types.Object,
-    armature: bpy.types.Object,
-    name: str,
-    vector: tuple[float, float, float],
-    carrying: list[str],
+    obj: bpy.types.Object, armature: bpy.types.Object, name: str, carrying: list[str], unturned: Channels
 ) -> str:
     """That a bone turns and no splat moves, and which switch lets it move them."""
     words = f"Bone '{name}' of '{armature.name}' moves no splats of '{obj.name}'"
-    for owner, prop in switches(armature, carrying):
-        holder: Any = armature.pose.bones[owner]
-        value = holder[prop]
-        before = _transforms(armature, carrying)
-        set_property(armature, owner, prop, 0 if value >= 0.5 else 1)
-        changed = np.abs(_transforms(armature, carrying) - before).max(initial=0.0) >= _MOVED
-        other = holder[prop]
-        set_property(armature, owner, prop, value)
-        if changed:
-            return f"{words}; set '{prop}' of '{owner}' to {other:g} first (--set {owner} {prop} {other:g})"
+    turned = channels(armature)
+    for owner, prop in switches(armature, followers(armature, name)):
+        with switched(armature, owner, prop) as value:
+            after = _transforms(armature, carrying)
+            restore(armature, unturned)
+            before = _transforms(armature, carrying)
+            restore(armature, turned)
+        if np.abs(after - before).max(initial=0.0) >= _MOVED:
+            return f"{words}; set '{prop}' of '{owner}' to {value:g} first (--set {owner} {prop} {value:g})"
     return f"{words}: neither it nor the bones that follow it have weights of splats"
 
 

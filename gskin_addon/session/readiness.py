@@ -16,6 +16,7 @@ from ..scene.follow_transforms import warning_of
 from ..scene.placement import is_placed, shift_of, up_of
 from ..scene.proxy_object import followed_armature
 from ..scene.rig_fit import SplatSample, rest_skeleton, sample_splats, scale_to_fit, to_world
+from ..scene.single_user import sharers
 from ..scene.splat_object import splat_count
 from ..scene.transforms import similarity_as_shown
 from . import learning_runtime
@@ -60,11 +61,12 @@ _KEPT = 8
 def checks(context: bpy.types.Context) -> list[Check]:
     """All checks of the chosen objects, in the order to mend them in. Quick: panels ask on every redraw."""
     splats, armature = chosen_splats(context), chosen_armature(context)
-    found = [_splats_check(splats), _armature_check(armature)]
+    found = [_splats_check(splats), _armature_check(context, armature)]
     if splats is not None and armature is not None:
         found += [_mode_check(splats, armature), _scale_check(splats, armature), *_transform_checks(splats)]
         if all(check.state == "ok" for check in found):
             found += _fit_checks(splats, armature)
+        found += [_owner_check(splats, armature)]
     found.append(_python_check(context))
     return found
 
@@ -104,15 +106,42 @@ def _splats_check(splats: bpy.types.Object | None) -> Check:
     return Check("Splats")
 
 
-def _armature_check(armature: bpy.types.Object | None) -> Check:
+def _armature_check(context: bpy.types.Context, armature: bpy.types.Object | None) -> Check:
     if armature is None:
-        return Check("Armature", "stop", "No armature is chosen: add one, or select it")
+        return Check("Armature", "stop", _instanced(context) or "No armature is chosen: add one, or select it")
     if not any(bone.use_deform for bone in armature.data.bones):
         sentence = f"Armature '{armature.name}' has no deform bones: turn on Deform for some"
         if not armature.data.bones or armature.mode == "EDIT":
             return Check("Armature", "stop", sentence)
         return Check("Armature", "stop", sentence, "gskin.enable_deform", "Let All Bones Deform")
     return Check("Armature")
+
+
+def _instanced(context: bpy.types.Context) -> str:
+    """Where an armature is in the scene only as part of an instanced collection, what to do about it."""
+    for obj in context.scene.objects:
+        collection = obj.instance_collection if obj.instance_type == "COLLECTION" else None
+        rig = None if collection is None else next((o for o in collection.all_objects if o.type == "ARMATURE"), None)
+        if rig is not None:
+            linked = "Object > Library Override > Make"
+            how = linked if rig.library is not None else "Object > Apply > Make Instances Real"
+            return f"Armature '{rig.name}' is only in the instance '{obj.name}': {how}"
+    return ""
+
+
+def _owner_check(splats: bpy.types.Object, armature: bpy.types.Object) -> Check:
+    """Whether the splats can be written to, and only theirs are."""
+    if splats.library is not None or splats.data.library is not None:
+        sentence = f"'{splats.name}' is linked from another file: make it local (Object > Relations)"
+        return Check("Owner", "stop", sentence)
+    others = sharers(splats)
+    if others:
+        sentence = f"'{splats.name}' shares its mesh with '{others[0]}', and will get one of its own"
+        return Check("Owner", "warn", sentence)
+    if armature.library is not None:
+        sentence = f"Armature '{armature.name}' is linked: to pose it, make it local (Object > Relations)"
+        return Check("Owner", "warn", sentence)
+    return Check("Owner")
 
 
 def _mode_check(splats: bpy.types.Object, armature: bpy.types.Object) -> Check:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import shutil
 import sys
 import time
 from pathlib import Path
@@ -181,8 +182,8 @@ def hiding(stage: Stage, studio: Studio) -> Story:
     space = studio.view.space
     space.overlay.show_overlays, space.overlay.show_floor = True, False
     space.overlay.show_axis_x = space.overlay.show_axis_y = space.overlay.show_cursor = space.overlay.show_text = False
-    for other in bpy.context.view_layer.objects:
-        other.select_set(False)
+    with studio.view.override():
+        bpy.ops.object.select_all(action="DESELECT")
     yield from studio.picture("s11_no_bones")
     rig.hide_set(False)
     rig.show_in_front, rig.data.display_type = True, "STICK"
@@ -231,7 +232,8 @@ def undo_and_reload(stage: Stage, studio: Studio, out: Path) -> Story:
     obj = next(obj for obj in bpy.data.objects if part("scene.splat_object").is_splat_object(obj))
     stage.check("after saving the shader goes on", drawn(obj))
     node, groups = part("scene.node_builder"), part("scene.node_groups")
-    with bpy.data.libraries.load(str(path), link=True) as (there, into):
+    other = shutil.copyfile(path, out / "splats_linked.blend")  # Blender refuses to link from the open file
+    with bpy.data.libraries.load(str(other), link=True) as (there, into):
         into.objects = [name for name in there.objects if name == obj.name]
     linked = into.objects[0]
     good = node.get_input(groups.find_display(linked), groups.BY_SHADER) is False

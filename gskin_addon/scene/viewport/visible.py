@@ -36,13 +36,18 @@ def is_visible(obj: bpy.types.Object, layer: bpy.types.ViewLayer, space: Any) ->
     return obj.visible_get(view_layer=layer, viewport=space if isinstance(space, bpy.types.SpaceView3D) else None)
 
 
+def objects_of(layer: bpy.types.ViewLayer) -> Iterator[bpy.types.Object]:
+    """The objects of a view layer; it lists None for one that was just deleted."""
+    return (obj for obj in layer.objects if obj is not None)
+
+
 def shown_objects(context: bpy.types.Context) -> list[Shown]:
     """The splat objects that the view shows and whose points are there, read again where they have changed."""
     layer, space = context.view_layer, context.space_data
     if isinstance(space, bpy.types.SpaceView3D) and not space.show_object_viewport_mesh:
         return []
     found = []
-    for obj in layer.objects:
+    for obj in objects_of(layer):
         if obj.type == "MESH" and switch.is_drawn(obj) and is_visible(obj, layer, space):
             one = _read(obj, context)
             if one is not None:
@@ -71,7 +76,7 @@ def _read(obj: bpy.types.Object, context: bpy.types.Context) -> Shown | None:
 def others(context: bpy.types.Context) -> Iterator[bpy.types.Object]:
     """What the view shows beside the splats that the shader draws."""
     layer, space = context.view_layer, context.space_data
-    return (obj for obj in layer.objects if not switch.is_drawn(obj) and is_visible(obj, layer, space))
+    return (obj for obj in objects_of(layer) if not switch.is_drawn(obj) and is_visible(obj, layer, space))
 
 
 def pose_changed(obj: bpy.types.Object) -> None:
