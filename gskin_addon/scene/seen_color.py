@@ -16,30 +16,35 @@ MAX_DEGREE = 3
 Sampled = Callable[[Any, str], Any]
 
 
-def towards_camera(tree: Tree, position: Any) -> Any:
+def towards_camera(tree: Tree, position: Any) -> tuple[Any, Any]:
     """Field of the way (not normalised) from points to the scene's active camera, both in the object's space.
 
-    From the camera's place in orthographic views too: nodes are not told of which kind it is.
+    And whether there is a camera, a single boolean. The way leads to the camera's place in orthographic views too:
+    nodes are not told of which kind it is.
     """
     camera = tree.out("GeometryNodeInputActiveCamera", "Active Camera")
-    place = tree.out("GeometryNodeObjectInfo", "Location", {"Object": camera}, transform_space="RELATIVE")
-    return tree.vector("SUBTRACT", place, position)
+    info = tree.node("GeometryNodeObjectInfo", {"Object": camera}, transform_space="RELATIVE")
+    # Of no object the node gives zeros.
+    there = tree.math("GREATER_THAN", tree.vector("LENGTH", tree.output(info, "Scale")), 0.0)
+    return tree.vector("SUBTRACT", tree.output(info, "Location"), position), there
 
 
 def seen_color(tree: Tree, splats: Any, sampled: Sampled, base: Any) -> Any:
     """Field of sRGB colour, 0 to 1, of the drawn points: max(0, 0.5 + sum_k sh_k Y_k(d)), as `core.splats.sh.eval_sh`.
 
     splats: the geometry that has the attributes; how many bands it has decides what is computed at all. base: the
-    first coefficients. The direction is turned back by what the bones have turned each splat (`gskin:turn`).
+    first coefficients, which count alone where there is no camera. The direction is turned back by what the bones
+    have turned each splat (`gskin:turn`).
     """
     total = tree.vector("MULTIPLY_ADD", base, (SH_C0,) * 3, (0.5,) * 3)
-    away = tree.scale(towards_camera(tree, sampled("position", "FLOAT_VECTOR")), -1.0)
+    towards, has_camera = towards_camera(tree, sampled("position", "FLOAT_VECTOR"))
+    away = tree.scale(towards, -1.0)
     back = tree.out("FunctionNodeInvertRotation", "Rotation", {"Rotation": sampled(names.TURN, "QUATERNION")})
     turned = tree.out("FunctionNodeRotateVector", "Vector", {"Vector": away, "Rotation": back})
     inputs = {"Switch": tree.has(splats, names.TURN, "QUATERNION"), "False": away, "True": turned}
     direction = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="VECTOR")
     values = _basis(tree, tree.vector("NORMALIZE", direction))
-    shown = total
+    constant = shown = total
     for degree in range(1, MAX_DEGREE + 1):
         for k in range(degree * degree, (degree + 1) ** 2):
             coefficient = sampled(names.SH.format(k - 1), "FLOAT_VECTOR")
@@ -47,6 +52,8 @@ def seen_color(tree: Tree, splats: Any, sampled: Sampled, base: Any) -> Any:
         there = tree.has(splats, names.SH.format(degree * degree - 1), "FLOAT_VECTOR")
         inputs = {"Switch": there, "False": shown, "True": total}
         shown = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="VECTOR")
+    inputs = {"Switch": has_camera, "False": constant, "True": shown}
+    shown = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="VECTOR")
     return tree.vector("MINIMUM", tree.vector("MAXIMUM", shown, (0.0,) * 3), (1.0,) * 3)
 
 

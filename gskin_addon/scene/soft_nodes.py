@@ -51,7 +51,7 @@ def soft_splats(tree: Tree, points: Any, opacity: Any, size: Any, facing: Any) -
 
 def _faced(tree: Tree, instances: Any, rotation: Any, scale: Any) -> Any:
     """The instances with their discs turned, within the ellipsoid's own unit sphere, to face the camera."""
-    way = towards_camera(tree, tree.out("GeometryNodeInputPosition", "Position"))
+    way, _ = towards_camera(tree, tree.out("GeometryNodeInputPosition", "Position"))
     back = tree.out("FunctionNodeInvertRotation", "Rotation", {"Rotation": rotation})
     local = tree.out("FunctionNodeRotateVector", "Vector", {"Vector": way, "Rotation": back})
     parts = tree.node("ShaderNodeSeparateXYZ", {"Vector": scale})
