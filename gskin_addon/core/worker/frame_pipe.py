@@ -75,4 +75,4 @@ def _read(stream: BinaryIO, kind: str, *shape: int) -> NDArray[Any]:
 
 
 def _plain(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.ndarray) else value
+    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
