@@ -209,6 +209,27 @@ def hiding(stage: Stage, studio: Studio) -> Story:
         bpy.ops.view3d.localview(frame_selected=False)
     bpy.data.objects.remove(cube)
     studio.look((0.0, 0.0, 0.83), 3.1)
+    yield from studio.settled()
+    x, y = studio.view.middle()
+    yield from studio.hands.click(x, y)
+    yield stage.soon(obj.select_get, 5.0)
+    stage.check("a click on the splats selects them", obj.select_get())
+    yield from studio.hands.click(x - 300, y + 200)
+    yield stage.soon(lambda: not obj.select_get(), 5.0)
+    stage.check("a click beside them selects nothing", not obj.select_get())
+    for way, place in (("behind", -1.2), ("before", 1.2)):
+        center = mathutils.Vector((0, 0, 0.83)) + place * direction
+        with studio.view.override():
+            bpy.ops.mesh.primitive_uv_sphere_add(radius=0.2, location=center)
+        sphere = bpy.context.view_layer.objects.active
+        yield from studio.settled()
+        yield from studio.hands.click(x, y)
+        yield stage.soon(lambda sphere=sphere, way=way: (obj if way == "behind" else sphere).select_get(), 5.0)
+        good = obj.select_get() == (way == "behind") and sphere.select_get() == (way == "before")
+        stage.check(f"with a sphere {way} them a click selects what is seen", good)
+        bpy.data.objects.remove(sphere)
+    with studio.view.override():
+        bpy.ops.object.select_all(action="DESELECT")
     obj.select_set(True)
 
 
@@ -324,7 +345,7 @@ def failing(stage: Stage, studio: Studio) -> Story:
 
     module.draw_into = broken
     studio.look((0.0, 0.0, 0.8), 3.0)
-    yield from studio.settled()
+    studio.view.area.tag_redraw()
     yield lambda: not drawn(obj)
     stage.check("an error of the drawing is kept for the panel", "made up by the test" in switch.failure)
     yield from studio.picture("s80_failed")
