@@ -20,7 +20,7 @@ from ..scene.single_user import sharers
 from ..scene.splat_object import splat_count
 from ..scene.transforms import similarity_as_shown
 from . import learning_runtime
-from .chosen import chosen_armature, chosen_splats, panel_settings
+from .chosen import chosen_armature, chosen_blender_splats, chosen_splats, panel_settings
 from .preferences import job_python, worker_python
 from .running_job import state
 
@@ -61,7 +61,7 @@ _KEPT = 8
 def checks(context: bpy.types.Context) -> list[Check]:
     """All checks of the chosen objects, in the order to mend them in. Quick: panels ask on every redraw."""
     splats, armature = chosen_splats(context), chosen_armature(context)
-    found = [_splats_check(splats), _armature_check(context, armature)]
+    found = [_splats_check(context, splats), _armature_check(context, armature)]
     if splats is not None and armature is not None:
         found += [_mode_check(splats, armature), _scale_check(splats, armature), *_transform_checks(splats)]
         if all(check.state == "ok" for check in found):
@@ -99,7 +99,14 @@ def forget() -> None:
     _fits.clear()
 
 
-def _splats_check(splats: bpy.types.Object | None) -> Check:
+def _splats_check(context: bpy.types.Context, splats: bpy.types.Object | None) -> Check:
+    blenders = chosen_blender_splats(context)
+    if blenders is not None:
+        sentence = (
+            f"'{blenders.name}' holds Blender's own splats, which no armature moves: Auto-Skin first makes them a mesh "
+            "of the same splats (undo brings them back)"
+        )
+        return Check("Splats", "warn", sentence, "gskin.make_riggable", "Make Riggable")
     if splats is None:
         sentence = "No splats are chosen: import a Gaussian splat .ply, or select a splat object"
         return Check("Splats", "stop", sentence, "gskin.import_splats", "Import Splats...")
