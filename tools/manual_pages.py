@@ -72,8 +72,11 @@ def body(text: str) -> str:
 
 def inline(text: str) -> str:
     """A line's marks; what is between backticks stays as it is. Pictures become their words."""
-    parts = re.split(r"(`[^`]+`)", text)
-    return "".join(f"<code>{html.escape(p[1:-1])}</code>" if p.startswith("`") else _marks(p) for p in parts)
+    spans = re.findall(r"`([^`]+)`", text)
+    marked = _marks(re.sub(r"`[^`]+`", "\0", text))  # links may have code in them
+    for span in spans:
+        marked = marked.replace("\0", f"<code>{html.escape(span)}</code>", 1)
+    return marked
 
 
 def slug(words: str) -> str:

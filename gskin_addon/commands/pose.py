@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`gskin pose`: rigged splats in another pose, as .blend or posed .ply; or as .glb with their actions."""
+"""`gskin pose`: rigged splats in another pose, as .blend or posed splats; or as .glb with their actions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from ..core.errors import InputError
-from ..core.splats.formats import write_splats
+from ..core.splats.formats import FILE_TYPES, output_format, write_splats
 from .blender import require_bpy
 from .console import print_message
 from .paths import check_output, same_file
@@ -17,10 +17,13 @@ from .paths import check_output, same_file
 if TYPE_CHECKING:
     import bpy
 
+SPLATS = tuple(suffix for suffix in FILE_TYPES if suffix not in (".glb", ".gltf"))
+"""Endings of files of posed splats without a rig."""
+
 
 def run(options: argparse.Namespace) -> None:
     """Do it. Raises InputError for what cannot be used."""
-    check_output(options.out, "--out", (".blend", ".glb", ".ply"))
+    check_output(options.out, "--out", (".blend", ".glb", *SPLATS))
     if same_file(options.source, options.out):
         raise InputError(f"--out '{options.out}' would overwrite its own input; choose another name.")
     kind = options.out.suffix.lower()
@@ -29,8 +32,9 @@ def run(options: argparse.Namespace) -> None:
         from ..scene.placement import as_in_file
         from ..scene.posing import posed_cloud
 
-        if kind == ".ply":
-            write_splats(options.out, as_in_file(obj, posed_cloud(obj), options.ply_up or ""))
+        if kind in SPLATS:
+            form = output_format(options.out)
+            write_splats(options.out, as_in_file(obj, posed_cloud(obj), options.up or form.up), up=form.up)
         elif kind == ".glb":
             from ..scene.gltf_export import export_glb
 

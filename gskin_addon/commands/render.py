@@ -29,16 +29,26 @@ from .rig import read_splats
 if TYPE_CHECKING:
     import bpy
 
+CAMERA = "camera"
+"""The --view that stands for the scene's own camera."""
+
 
 def run(options: argparse.Namespace) -> None:
     """Do it. Raises InputError for what cannot be used."""
+    if options.view == CAMERA:
+        from .render_camera import run_camera
+
+        run_camera(options)
+        return
     check_output(options.out, "--out", (".png",))
-    if options.source.suffix.lower() == ".ply":
+    if options.frames or options.resume or options.depth:
+        raise InputError("--frames, --resume and --depth are for the scene's camera; add --view camera.")
+    if options.source.suffix.lower() != ".blend":
         posing = options.rotate or options.set or options.action or options.frame is not None
         if options.engine == "cycles" or options.color != "splats" or posing:
             raise InputError(f"'{options.source}' has no rig to pose, colour or render by; give a rigged .blend.")
         cloud = read_splats(options.source, drop_invalid=True)
-        draw(rotate_cloud(cloud, up_rotation(options.ply_up)), options)
+        draw(rotate_cloud(cloud, up_rotation(options.up or cloud.up or "z")), options)
     else:
         with posed(options) as obj:
             if options.engine == "cycles":

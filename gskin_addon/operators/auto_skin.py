@@ -139,6 +139,7 @@ class SkinOperator:
                 None if only is not None else proxy_mesh(context),
                 allow_download=chosen.models.may_download(),
                 only=only,
+                paintable=chosen.paintable,
             )
         except GSkinError as error:
             self._fail(context, error)

@@ -24,6 +24,7 @@ from ..core.splats import gltf
 from ..core.splats.axes import rotate_cloud
 from ..core.splats.cloud import SplatCloud
 from .bone_frames import armature_of
+from .fabric import bring_fabrics_back, lay_fabrics_aside
 from .gltf_clips import clips_of, keep_own, play_companions
 from .splat_object import is_splat_object, read_cloud
 from .visibility import shown
@@ -72,6 +73,15 @@ class SplatExport:
     def pre_animation_switch_hook(self, blender_object: Any, blender_action: Any, *_: Any) -> None:
         """Before a clip is sampled."""
         play_companions(blender_object, blender_action)
+
+    def gather_gltf_hook(self, active: int, scenes: Any, animations: Any, export_settings: dict[str, Any]) -> None:
+        """When all is gathered: skinned splats become roots of their scene, their skins name the armature's node.
+
+        Blender hangs a skinned mesh under its armature. The positions are in world space, so whoever does not know
+        skins must not apply the armature's transform to them a second time.
+        """
+        for scene in scenes:
+            _make_roots(scene)
 
     def gather_mesh_hook(
         self,
@@ -151,6 +161,7 @@ def export_glb(
                 export_def_bones=deform_bones_only,
                 export_morph=False,
                 export_animations=animations,
+                export_anim_slide_to_zero=True,
                 export_materials="EXPORT",
                 **options,
             )
@@ -187,7 +198,8 @@ def _last_error(error: RuntimeError) -> str:
 
 
 def hide_nodes() -> None:
-    """Switch off the Geometry Nodes modifiers of all splat objects, until `show_nodes`."""
+    """Switch off the Geometry Nodes modifiers of all splat objects and lay their fabrics aside, until `show_nodes`."""
+    lay_fabrics_aside()
     for obj in bpy.data.objects:
         if is_splat_object(obj):
             for modifier in obj.modifiers:
@@ -197,7 +209,8 @@ def hide_nodes() -> None:
 
 
 def show_nodes() -> None:
-    """Switch on what `hide_nodes` switched off."""
+    """Switch on what `hide_nodes` switched off, and bring the fabrics back."""
+    bring_fabrics_back()
     if not _hidden:
         return
     present = {obj.name: obj for obj in bpy.data.objects if is_splat_object(obj)}
@@ -291,6 +304,31 @@ def _add_splats(gltf2_mesh: Any, cloud: SplatCloud) -> None:
     )
     if "JOINTS_0" in attributes:
         primitive.extras = {**(primitive.extras or {}), gltf.SKINNING_EXTRAS_NAME: dict(gltf.SKINNING_EXTRAS)}
+
+
+def _make_roots(scene: Any) -> None:
+    """Move the nodes of skinned splats to the top of the scene, without a transform, which skins ignore."""
+    waiting, splats = [(None, node) for node in scene.nodes], []
+    parents: dict[int, Any] = {}
+    while waiting:
+        parent, node = waiting.pop()
+        parents[id(node)] = parent
+        waiting += [(node, child) for child in node.children or ()]
+        if node.skin is not None and node.mesh is not None and _is_splat_mesh(node.mesh):
+            splats.append((parent, node))
+    for parent, node in splats:
+        carriers = {id(parents[id(joint)]): parents[id(joint)] for joint in node.skin.joints if id(joint) in parents}
+        tops = [carrier for carrier in carriers.values() if carrier not in node.skin.joints]
+        if node.skin.skeleton is None and len(tops) == 1 and tops[0] is not None:
+            node.skin.skeleton = tops[0]
+        node.translation = node.rotation = node.scale = node.matrix = None
+        if parent is not None:
+            parent.children = [child for child in parent.children if child is not node]
+            scene.nodes.append(node)
+
+
+def _is_splat_mesh(mesh: Any) -> bool:
+    return any(gltf.EXTENSION_NAME in (primitive.extensions or {}) for primitive in mesh.primitives)
 
 
 def _accessor(values: NDArray[Any]) -> Any:

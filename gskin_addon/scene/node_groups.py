@@ -23,7 +23,7 @@ from .node_builder import Tree, add_modifier, find_group, geometry_group, get_in
 from .octahedra import CORNERS, ensure_octahedra, octahedra_count
 from .viewport.nodes import shader_points
 
-VERSION = 4
+VERSION = 5
 
 VIEWPORT_LIMIT = 100_000
 VIEWPORT_SIGMAS = 1.6
@@ -50,7 +50,8 @@ _INPUTS: list[tuple[str, str, dict[str, Any]]] = [
         {
             "default_value": VIEWPORT_LIMIT,
             "min_value": 1,
-            "description": "Most splats drawn in the viewport, spread evenly over all; renders draw every one",
+            "description": "Most splats drawn in the viewport, those that hide most; of ellipsoids some of all parts. "
+            "Renders draw every one",
         },
     ),
     (
@@ -127,6 +128,16 @@ def add_display(obj: bpy.types.Object) -> bpy.types.NodesModifier:
         match_octahedra(obj)
     obj.modifiers.move(obj.modifiers.find(modifier.name), len(obj.modifiers) - 1)
     return modifier
+
+
+def renew_display(obj: bpy.types.Object) -> None:
+    """Give a display of an older file the present node group; what was set stays."""
+    modifier = add_display(obj)
+    kept = {name: get_input(modifier, name) for name in DISPLAY_INPUTS if has_input(modifier, name)}
+    modifier.node_group = display_group()
+    for name, value in kept.items():
+        set_input(modifier, name, value)
+    match_octahedra(obj)
 
 
 def set_display(obj: bpy.types.Object, name: str, value: Any) -> None:
@@ -215,7 +226,10 @@ def _build(group: bpy.types.NodeTree) -> None:
     if has_native_splats():
         inputs = {"Switch": tree.output(source, NATIVE), "False": drawn, "True": _native(tree, source)}
         drawn = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
-    inputs = {"Switch": tree.output(source, "Display"), "False": splats, "True": drawn}
+    # Without a display nothing is seen of the fabric either, see `fabric.py`.
+    inputs = {"Geometry": splats}
+    bare = tree.out("GeometryNodeDeleteGeometry", "Geometry", inputs, domain="EDGE", mode="EDGE_FACE")
+    inputs = {"Switch": tree.output(source, "Display"), "False": bare, "True": drawn}
     result = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
     tree.node("NodeGroupOutput", {"Geometry": result})
 

@@ -21,8 +21,8 @@ _OWN = {"PNG": "png", "OPEN_EXR": "exr", "OPEN_EXR_MULTILAYER": "exr"}
 _MOVIES = {"FFMPEG", "AVI_JPEG", "AVI_RAW"}
 
 
-def frame_output(scene: bpy.types.Scene, frame: int, *, depth: bool) -> Output:
-    """The file of a frame. depth: also in an EXR's channel Z, or for other formats in an .exr beside it.
+def frame_output(scene: bpy.types.Scene, frame: int, *, depth: bool, path: Path | None = None) -> Output:
+    """The file of a frame, or `path`. depth: also in an EXR's channel Z, or for other formats in an .exr beside it.
 
     Raises InputError for a movie format.
     """
@@ -34,7 +34,8 @@ def frame_output(scene: bpy.types.Scene, frame: int, *, depth: bool) -> Output:
             "Splats are rendered to images, and the output format is a movie; choose PNG or OpenEXR in the Output "
             "properties and join the images later."
         )
-    path = Path(bpy.path.abspath(render.frame_path(frame=frame)))
+    if path is None:
+        path = Path(bpy.path.abspath(render.frame_path(frame=frame)))
     ours = _OWN.get(form, "raw")
     beside = path if ours == "exr" else path.with_name(f"{path.stem}_depth.exr")
     return Output(

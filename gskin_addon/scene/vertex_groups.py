@@ -86,7 +86,7 @@ class GroupsAside:
         old: ObjectData = obj.data
         mesh: ObjectData = aside.data
         name = old.name
-        mode = _leave_paint_mode(obj)
+        mode = leave_paint_mode(obj)
         mesh.use_fake_user = old.use_fake_user
         bpy.data.objects.remove(aside)
         if sharers(obj):
@@ -96,7 +96,7 @@ class GroupsAside:
             bpy.data.meshes.remove(old)
             mesh.name = name
         if mode != "OBJECT":
-            _set_mode(obj, mode)
+            set_mode(obj, mode)
         return obj
 
     def _object(self) -> bpy.types.Object:
@@ -139,14 +139,15 @@ def _add_group(obj: bpy.types.Object, name: str, column: Array) -> None:
     obj.vertex_groups[_TEMPORARY].name = name
 
 
-def _leave_paint_mode(obj: bpy.types.Object) -> str:
+def leave_paint_mode(obj: bpy.types.Object) -> str:
     """Paint modes keep pointers into the mesh. Gives the mode that the object was in."""
     mode = obj.mode
     if mode != "OBJECT":
-        _set_mode(obj, "OBJECT")
+        set_mode(obj, "OBJECT")
     return mode
 
 
-def _set_mode(obj: bpy.types.Object, mode: Any) -> None:
+def set_mode(obj: bpy.types.Object, mode: Any) -> None:
+    """Switch the object, which need not be the active one, to a mode."""
     with bpy.context.temp_override(object=obj, active_object=obj):
         bpy.ops.object.mode_set(mode=mode)

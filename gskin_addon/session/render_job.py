@@ -39,6 +39,7 @@ class RenderJob:
     depth: bool
     still: bool
     first_frame: int
+    out: Path | None = None
     started: float = field(default_factory=time.monotonic)
     progress: ProgressEvent = field(default_factory=lambda: ProgressEvent("start", message="Starting"))
     cancelling: bool = False
@@ -61,8 +62,11 @@ class RenderJob:
         hold_out: bool,
         depth: bool,
         frames: Sequence[int] | None = None,
+        out: Path | None = None,
     ) -> RenderJob:
         """Start the process that draws. animation: the scene's frames, else the present one; frames: these instead.
+
+        out: the file of a still, in place of the output path's.
 
         Raises InputError where there is nothing to render, no camera, or no image format.
         """
@@ -76,7 +80,7 @@ class RenderJob:
             frames = list(every) if animation else [scene.frame_current]
         client = FrameClient(python, isolated=python == own_python(), gentle=not bpy.app.background)
         return cls(
-            client, scene.name, view_layer.name, frames, hold_out, depth, not animation, scene.frame_current
+            client, scene.name, view_layer.name, frames, hold_out, depth, not animation, scene.frame_current, out
         )
 
     @property
@@ -140,7 +144,7 @@ class RenderJob:
 
     def _begin(self, number: int) -> None:
         scene, view_layer = self._scene()
-        output = frame_output(scene, number, depth=self.depth)
+        output = frame_output(scene, number, depth=self.depth, path=self.out)
         path = Path(output.path)
         if not self.still and not scene.render.use_overwrite and path.exists():
             self.skipped += 1

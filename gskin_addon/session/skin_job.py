@@ -33,6 +33,7 @@ from ..scene.attributes import read_attribute, write_attribute
 from ..scene.binding import bind
 from ..scene.bone_frames import armature_of
 from ..scene.compared import iter_shown, keep
+from ..scene.fabric import iter_triangles, lay_under
 from ..scene.object_ref import object_by_uid
 from ..scene.proxy_object import iter_write_weights_through
 from ..scene.seams import read_seams
@@ -68,6 +69,7 @@ class SkinJob:
     anchored: bool = True
     kept: bool = False
     only: Array | None = None
+    paintable: bool = False
     started: float = field(default_factory=time.monotonic)
     progress: ProgressEvent = field(default_factory=lambda: ProgressEvent("start"))
     progress_at: float = field(default_factory=time.monotonic)
@@ -88,6 +90,7 @@ class SkinJob:
         label: str = "",
         allow_download: bool = False,
         only: Array | None = None,
+        paintable: bool = False,
     ) -> SkinJob:
         """Write the job of these objects at rest, in world space, and start a worker on it.
 
@@ -95,7 +98,8 @@ class SkinJob:
         (anchored=False) get weights of their own from it. folder: where the job is kept, also after its end; one of
         the user's own, for the time of the run, when left out. only (N,) bool: splats whose weights may change; a
         guidance then starts from the present ones. Not with a proxy. label: what messages call the splats.
-        allow_download: the person agreed to fetch models that are missing; this run only, nothing keeps it.
+        allow_download: the person agreed to fetch models that are missing; this run only, nothing keeps it. paintable:
+        the splats get a fabric for Blender's weight tools.
 
         Raises:
             InputError: objects that cannot be skinned, an interpreter that cannot be started.
@@ -149,6 +153,7 @@ class SkinJob:
             anchored,
             folder is not None,
             only,
+            paintable,
         )
 
     def wait(self, show: Callable[[ProgressEvent], None]) -> None:
@@ -199,6 +204,10 @@ class SkinJob:
         name, words = armature.name, ""
         shared = said_of(splats, sharers(splats))
         options: dict[str, Any] = {"max_influences": self.max_influences, "confidence": result.confidence}
+        triangles = None
+        if self.paintable and not proxies:
+            bone = result.weights.argmax(axis=1)
+            triangles = yield from part_of(iter_triangles(splats, bone, armature), 0.0, 0.1)
         if proxies and self.anchored:
             if result.mesh_weights is None:
                 raise GSkinError("The worker gave no weights for the mesh; run Auto-Skin again.")
@@ -213,6 +222,8 @@ class SkinJob:
             elif result.start is not None:
                 options["start"] = str(result.report.get("start") or "initial weights"), result.start
             yield from iter_write_weights(splats, armature, result.weights, result.bones, **options)
+        if triangles is not None:
+            lay_under(splats, triangles)
         if not self.kept:
             shutil.rmtree(self.client.folder, ignore_errors=True)
         seconds = time.monotonic() - self.started

@@ -24,7 +24,9 @@ MAPPING = (
         "load_weights", "save_weights", "bind_to_armature", "update_rotation_weights", "anchor_to_mesh",
         "release_from_mesh",
     )),
-    *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#after-a-job") for name in ("compare_weights", "select_unsure_splats")),
+    *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#after-a-job") for name in (
+        "compare_weights", "pose_rig", "select_unsure_splats",
+    )),
     *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#clean-up") for name in ("select_bad_splats", "clean_splats")),
     *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#the-check-list") for name in (
         "check_again", "enable_deform", "even_scale", "fix_rig_scale", "center_rig",

@@ -399,7 +399,7 @@ def running(folder) -> SimpleNamespace:
     """A job half done in `folder`."""
     return SimpleNamespace(
         progress=SimpleNamespace(fraction=0.5, message="Weights", stage="initial", losses={"l1": 0.1}),
-        seconds_left=3.0, cancelling=False, cancel=lambda: None, client=SimpleNamespace(folder=folder),
+        seconds_left=3.0, cancelling=False, cancel=lambda: None, pictures=folder,
     )  # fmt: skip
 
 
@@ -461,6 +461,27 @@ def test_the_two_sides_of_the_weights_are_a_toggle(scene, splats, armature):
     lines = drawn()
     row = place(lines, "gskin.compare_weights: Bone heat")
     assert lines[row : row + 2] == ["gskin.compare_weights: Bone heat", "gskin.compare_weights: Learned"]
+
+
+def test_a_click_leads_to_the_rig(scene, splats, armature):
+    assert "gskin.pose_rig" not in drawn()
+    with pytest.raises(RuntimeError, match="follow an armature"):
+        bpy.ops.gskin.pose_rig()
+    bind(splats, armature)
+    bpy.context.view_layer.objects.active = splats
+    splats.select_set(True)
+    assert "gskin.pose_rig" in drawn()
+    assert bpy.ops.gskin.pose_rig() == {"FINISHED"}
+    assert (bpy.context.mode, bpy.context.active_object) == ("POSE", armature)
+    assert armature.show_in_front
+    assert not splats.select_get()
+    assert "gskin.pose_rig" not in drawn()
+    with pytest.raises(RuntimeError, match="Pose Mode already"):
+        bpy.ops.gskin.pose_rig()
+    bpy.ops.object.mode_set(mode="OBJECT")
+    armature.hide_set(True)
+    with pytest.raises(RuntimeError, match="'Rig' is hidden"):
+        bpy.ops.gskin.pose_rig()
 
 
 def test_the_weights_panel_has_a_click_for_each_way(scene, splats, armature):

@@ -19,6 +19,8 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Euler, Vector
 
 import gskin_addon
+from gskin_addon import cli
+from gskin_addon.commands.render_camera import parse_frames
 from gskin_addon.core.errors import Cancelled, InputError
 from gskin_addon.core.render import fragments
 from gskin_addon.core.render.frame import draw_frame
@@ -340,3 +342,24 @@ def test_both_rasterisers_are_the_same_picture(scene):
     splats = cloud.means, cloud.quats, cloud.scales, cloud.base_colors(), cloud.opacities
     ours, theirs = fragments.draw(*splats, camera), still.draw(*splats, camera)
     assert decibels(ours.color, theirs.color) > 90
+
+
+def test_the_command_renders_from_the_scenes_camera(scene, tmp_path):
+    create_splat_object(shiny_cloud(50), "S")
+    scene.frame_start, scene.frame_end = 1, 40
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    common = ["render", str(tmp_path / "scene.blend"), "--view", "camera"]
+    assert cli.main([*common, "--out", str(tmp_path / "still.exr"), "--depth"]) == 0
+    still = loaded(tmp_path / "still.exr")
+    assert still.shape[:2] == SIZE[::-1]
+    assert still[..., 3].max() > 0.5
+    (tmp_path / "walk_0002.png").write_bytes(b"kept")
+    assert cli.main([*common, "--out", str(tmp_path / "walk_####.png"), "--frames", "1-5x2", "--resume"]) == 0
+    assert sorted(path.name for path in tmp_path.glob("walk*")) == [f"walk_000{k}.png" for k in (1, 2, 3, 5)]
+    assert (tmp_path / "walk_0002.png").read_bytes() == b"kept"
+
+
+@pytest.mark.parametrize("wrong", ["a-b", "5-1", "1-5x0", "-"])
+def test_frames_that_are_none_are_refused(wrong):
+    with pytest.raises(InputError, match="names no frames"):
+        parse_frames(wrong)

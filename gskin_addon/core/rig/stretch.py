@@ -64,17 +64,17 @@ def stretched_maps(maps: Array, turn: Array, moments: Array, uneven: Array) -> t
     """
     maps = np.asarray(maps, dtype=np.float64)
     maps = maps * np.where(np.linalg.det(maps) < 0, -1.0, 1.0)[:, None, None]
-    share = np.clip((np.asarray(uneven) - RIGID) / (PLAINLY - RIGID), 0, 1)
+    share: Array = np.clip((np.asarray(uneven) - RIGID) / (PLAINLY - RIGID), 0, 1)
     share = share * share * (3 - 2 * share)
     turn = np.asarray(turn, dtype=np.float64)
     u, s, vt = np.linalg.svd(maps)
-    share = np.asarray(np.where(s[:, 1] + s[:, 2] > COLLAPSED * s[:, 0], share, 0))
+    share = np.where(s[:, 1] + s[:, 2] > COLLAPSED * s[:, 0], share, 0)
     u[:, :, 2] *= np.where(np.linalg.det(u @ vt) < 0, -1.0, 1.0)[:, None]
     own = matrix_to_quat(u @ vt)
     own = np.where(np.einsum("nk,nk->n", own, turn)[:, None] < 0, -own, own)
     blended = normalize(turn + share[:, None] * (own - turn))
     rotation = quat_to_matrix(blended)
-    stretch = np.swapaxes(rotation, 1, 2) @ maps
+    stretch: Array = np.swapaxes(rotation, 1, 2) @ maps
     stretch = (stretch + np.swapaxes(stretch, 1, 2)) / 2 + _lost(blended, moments)
     return blended, rotation @ stretch
 

@@ -87,14 +87,20 @@ def write_splats(path: Path, cloud: SplatCloud, *, up: str = "z") -> None:
     Raises:
         InputError: an unknown suffix. GSkinError: the file cannot be written; what was there stays.
     """
-    form = FORMATS["sog"] if path.name.lower() == META else named_format(path)
-    if form is None:
-        raise InputError(f"'{path}' is no {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]} file; choose another name.")
+    form = output_format(path)
     if cloud.count == 0:
         raise InputError(f"{path}: there are no splats to write; select at least one.")
     if form.up and form.up != up:
         cloud = rotate_cloud(cloud, up_rotation(form.up).T @ up_rotation(up))
     form.write(path, cloud)
+
+
+def output_format(path: Path) -> SplatFormat:
+    """The format that the name of a file to be written asks for. Raises InputError for other names."""
+    form = FORMATS["sog"] if path.name.lower() == META else named_format(path)
+    if form is None:
+        raise InputError(f"'{path}' is no {', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]} file; choose another name.")
+    return form
 
 
 def named_format(path: Path) -> SplatFormat | None:

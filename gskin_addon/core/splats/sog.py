@@ -134,7 +134,9 @@ def _read(source: _Source, drop_invalid: bool) -> Reading:
     scale_book = _codebook(path, meta["scales"])
     color_book = _codebook(path, meta["sh0"])
 
-    low, high = (_image(source, name, count) for name in names["means"])
+    low = _image(source, names["means"][0], count)
+    yield 0.05
+    high = _image(source, names["means"][1], count)
     yield 0.1
     for rows in pieces(count):
         fixed = low[rows, :3].astype(np.float64) + 256.0 * high[rows, :3]

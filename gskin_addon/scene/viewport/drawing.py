@@ -85,8 +85,8 @@ def draw_into(
 
 def read_target(target: Target) -> NDArray[np.float32]:
     """The target's pixels (H, W, 4), premultiplied sRGB and alpha; the first row is the lowest."""
-    with target.framebuffer.bind():
-        buffer = target.framebuffer.read_color(0, 0, target.width, target.height, 4, 0, "FLOAT")
+    # The texture and not the framebuffer, which belongs to the context that made it: a window's, or the drawing's own.
+    buffer = target.texture.read()
     buffer.dimensions = target.width * target.height * 4
     return np.array(buffer, np.float32).reshape(target.height, target.width, 4)
 
@@ -112,7 +112,7 @@ def draw_splats(
     order, colors = arrange(data, view, projection)
     draw_into(
         target, pose_textures(data), [splats.matrix for splats in data], order_texture(order),
-        color_texture(data, colors), view, projection,
-        depths=None if depth is None else image_texture(depth[::-1]),
+        color_texture([(rgb, splats.opacities) for splats, rgb in zip(data, colors, strict=True)]),
+        view, projection, depths=None if depth is None else image_texture(depth[::-1]),
     )  # fmt: skip
     return read_target(target)[::-1]

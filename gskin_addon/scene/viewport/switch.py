@@ -11,10 +11,9 @@ from collections.abc import Iterator
 import bpy
 
 from ..node_builder import get_input, has_input, set_input
-from ..node_groups import BY_SHADER, find_display
+from ..node_groups import BY_SHADER, NATIVE, find_display
 from ..splat_object import is_splat_object
 
-_NATIVE = "Native Splats"
 OTHER_MODES = {"EDIT", "WEIGHT_PAINT", "VERTEX_PAINT", "TEXTURE_PAINT", "SCULPT"}
 """Modes in which Blender itself needs or shows the mesh."""
 
@@ -39,7 +38,12 @@ def can_be_drawn(obj: bpy.types.Object) -> bool:
     modifier = find_display(obj)
     if modifier is None or not has_input(modifier, BY_SHADER) or not get_input(modifier, "Display"):
         return False
-    return not (has_input(modifier, _NATIVE) and get_input(modifier, _NATIVE))
+    return not is_native(modifier)
+
+
+def is_native(modifier: bpy.types.NodesModifier) -> bool:
+    """Whether a display gives Blender's own splats, which need no shader of ours (Blender 5.3 and later)."""
+    return has_input(modifier, NATIVE) and bool(get_input(modifier, NATIVE))
 
 
 def is_drawn(obj: bpy.types.Object) -> bool:

@@ -79,6 +79,6 @@ def pose_textures(objects: Sequence[DrawnSplats]) -> PoseTextures:
     )
 
 
-def color_texture(objects: Sequence[DrawnSplats], colors: Sequence[NDArray[Any]]) -> Any:
-    """Colours (N, 3) of each object with its splats' opacity."""
-    return splat_texture([(rgb, splats.opacities) for splats, rgb in zip(objects, colors, strict=True)])
+def color_texture(colors: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> Any:
+    """Colours (N, 3) and opacities (N,) of each object."""
+    return splat_texture(colors)
