@@ -42,16 +42,7 @@ def human(tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize(
-    ("bone", "control"),
-    [
-        ("DEF-upper_arm.L", "upper_arm_fk.L"),
-        ("DEF-thigh.R.001", "thigh_fk.R"),
-        ("ORG-forearm.R", "forearm_fk.R"),
-        ("DEF-spine.006", "head"),
-        ("DEF-f_index.02.L", "f_index.02.L"),
-    ],
-)
+@pytest.mark.parametrize(("bone", "control"), [("DEF-upper_arm.L", "upper_arm_fk.L"), ("DEF-spine.006", "head")])
 def test_a_bone_that_is_held_names_a_control_that_moves_it(bone, control, human, tmp_path, capfd):
     out = tmp_path / "out.ply"
     turn = (0, -30, 0) if "arm" in bone else (-30, 0, 0)
@@ -61,6 +52,7 @@ def test_a_bone_that_is_held_names_a_control_that_moves_it(bone, control, human,
     assert f"turn '{control}' instead" in error
     # What it says is so.
     switch = re.search(r"--set (\S+) (\S+) (\S+)\)", error)
+    assert (switch is not None) == ("arm" in bone)
     settings = ("--set", *switch.groups()) if switch else ()
     means = fig.posed_means(human, *settings, "--rotate", control, *turn)
     assert np.abs(means - fig.posed_means(human, *settings)).max() > 0.01
