@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How often a rig of another unit is recognised: rigged assets, their rigs scaled by factors, alone and in captures with
-surroundings several times as large. Usage: python -m benchmarks.rig_scale ASSETS [--names]"""
+"""How often a rig of another unit is recognised: rigged assets, their rigs scaled, alone and among surroundings that
+are several times as large. Usage: python -m benchmarks.rig_scale ASSETS [--names]"""
 
 from __future__ import annotations
 

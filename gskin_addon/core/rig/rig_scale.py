@@ -19,11 +19,13 @@ from .skeleton import Skeleton
 
 Array = NDArray[np.float64]
 
-UNITS = (1e-3, 0.01, 0.0254, 0.1, 0.3048, 1 / 0.3048, 10.0, 1 / 0.0254, 100.0, 1000.0)
-"""Factors between units that files are mistaken in: millimetres, centimetres, inches, decimetres, feet; and back."""
+UNITS = (1e-3, 0.01, 0.0254, 0.1, 10.0, 1 / 0.0254, 100.0, 1000.0)
+"""Factors between units that files are mistaken in: millimetres, centimetres, inches, decimetres; and back."""
 
 FILLED = 0.9
 """Part of the splats' extent that the bones of a sound rig have: their ends lie inside the body."""
+ABSURD = 0.2
+"""Factor of a rig so much too large that it cannot be right. One that is small may stand in a large captured scene."""
 _SMALL, _LARGE = 2.8, 0.4
 """By how much a rig may have to be scaled to be as large as the splats: bones for a tail or a prop may lack, or stick
 out."""
