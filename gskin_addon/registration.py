@@ -12,6 +12,7 @@ from .operators import (
     assign_to_bone,
     auto_skin,
     bind,
+    blend_weights,
     cancel_runtime,
     center_rig,
     check_again,
@@ -23,6 +24,7 @@ from .operators import (
     enable_deform,
     even_scale,
     export_glb,
+    fabric,
     fix_rig_scale,
     flood_weights,
     follow_neighbours,
@@ -31,24 +33,33 @@ from .operators import (
     job_presets,
     mirror_weights,
     place,
+    pose_rig,
     remove_runtime,
+    render_splats,
+    renew_display,
     repair_runtime,
     save_weights,
     separate_parts,
     sharpen_weights,
     smooth_weights,
 )
-from .scene import follow_display, follow_transforms, handlers, helpers
-from .session import guidance_settings, properties, running_job
+from .scene import fabric_view, follow_display, follow_transforms, handlers, helpers, webp_images
+from .scene.viewport import following as viewport_following
+from .scene.viewport import handler as viewport_handler
+from .session import guidance_settings, live_pictures, properties, render_settings, running_job
 from .ui import job_presets as job_presets_menu
-from .ui import panel, preferences, splat_panels
+from .ui import manual, panel, preferences, render_panel, splat_panels, translations
 
 # Each has CLASSES, HANDLERS (list of Blender, function) where it follows what happens, and register() and unregister()
 # where there is more to do.
 MODULES = (
+    translations,
+    webp_images,
     guidance_settings,
     properties,
+    render_settings,
     running_job,
+    live_pictures,
     preferences,
     check_python,
     install_runtime,
@@ -63,6 +74,7 @@ MODULES = (
     center_rig,
     check_again,
     cleanup,
+    renew_display,
     bind,
     save_weights,
     export_glb,
@@ -73,19 +85,28 @@ MODULES = (
     assign_to_bone,
     flood_weights,
     mirror_weights,
+    blend_weights,
     separate_parts,
+    fabric,
     compare,
+    pose_rig,
     anchor,
     auto_skin,
+    render_splats,
     command_line,
     job_presets,
     job_presets_menu,
     panel,
+    render_panel,
     splat_panels,
+    manual,
     handlers,
     helpers,
     follow_transforms,
     follow_display,
+    viewport_handler,
+    viewport_following,
+    fabric_view,
 )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib.util
 import json
 import shutil
 import tempfile
@@ -76,7 +77,7 @@ def run(options: argparse.Namespace) -> None:
 
     rig_files.empty_scene()
     armature = rig_files.import_armature(options.armature, options.armature_name)
-    up, assumed = resolve_up(options.ply_up, cloud, read_skeleton(armature))
+    up, assumed = resolve_up(options.up or cloud.up or "z", cloud, read_skeleton(armature))
     if assumed:
         print_message(f"'{options.splats}': {assumed}.")
     turned = rotate_cloud(cloud, up_rotation(up))
@@ -113,6 +114,8 @@ def run(options: argparse.Namespace) -> None:
 
 def read_splats(path: Path, drop_invalid: bool) -> SplatCloud:
     """The splats of a file with its own axes; says how many were dropped."""
+    if formats.find_format(path) is formats.FORMATS["sog"]:
+        _find_webp_decoder()
     splats = formats.read_splats(path, drop_invalid=drop_invalid)
     dropped = splats.total - splats.cloud.count
     if dropped:
@@ -120,6 +123,14 @@ def read_splats(path: Path, drop_invalid: bool) -> SplatCloud:
     for note in splats.cloud.notes:
         print_message(f"'{path}': {note}.")
     return splats.cloud
+
+
+def _find_webp_decoder() -> None:
+    """Without Pillow, Blender decodes the images of a .sog."""
+    if importlib.util.find_spec("PIL") is None and importlib.util.find_spec("bpy") is not None:
+        from ..scene.webp_images import register
+
+        register()
 
 
 def read_proxy(path: Path, up: str | None) -> tuple[Any, Any]:

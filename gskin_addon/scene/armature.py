@@ -10,8 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
+from ..core.rig.bendy import BendyBone
 from ..core.rig.skeleton import Skeleton
 from .transforms import world_similarity
+from .visibility import shown
 
 Array = NDArray[Any]
 
@@ -71,13 +73,37 @@ def pose_transforms_of(armature: bpy.types.Object, depsgraph: bpy.types.Depsgrap
     Bones in the order of `read_skeleton`. They map points at rest, under the armature's present object transform, to
     posed points.
     """
-    depsgraph = depsgraph or bpy.context.evaluated_depsgraph_get()
+    if depsgraph is None:
+        with shown([armature]):
+            return pose_transforms_of(armature, bpy.context.evaluated_depsgraph_get())
     evaluated = armature.evaluated_get(depsgraph)
     bones = deform_bones(armature)
     pose = np.array([evaluated.pose.bones[bone.name].matrix for bone in bones], dtype=np.float64)
     rest = np.array([bone.matrix_local for bone in bones], dtype=np.float64)
     world = np.array(evaluated.matrix_world, dtype=np.float64)
     return world @ pose @ np.linalg.inv(rest) @ np.linalg.inv(world)
+
+
+def bends_of(
+    armature: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None
+) -> dict[int, BendyBone]:
+    """The bendy ones among `deform_bones`, by their place, as they are in the evaluated pose."""
+    depsgraph = depsgraph or bpy.context.evaluated_depsgraph_get()
+    evaluated: Any = armature.evaluated_get(depsgraph)
+    world = np.array(evaluated.matrix_world, dtype=np.float64)
+    found = {}
+    for place, bone in enumerate(deform_bones(armature)):
+        if bone.bbone_segments < 2:
+            continue
+        posed = evaluated.pose.bones[bone.name]
+        rest = np.array(bone.matrix_local, dtype=np.float64)
+        steps = range(bone.bbone_segments + 1)
+        now = np.array([posed.bbone_segment_matrix(index) for index in steps], dtype=np.float64)
+        before = np.array([posed.bbone_segment_matrix(index, rest=True) for index in steps], dtype=np.float64)
+        to_bone = np.linalg.inv(rest) @ np.linalg.inv(world)
+        joints = world @ np.array(posed.matrix, dtype=np.float64) @ now @ np.linalg.inv(before) @ to_bone
+        found[place] = BendyBone(joints, to_bone, float(bone.length))
+    return found
 
 
 def _deform_parent(bone: bpy.types.Bone, index: dict[str, int]) -> int:

@@ -25,7 +25,7 @@ from .binding import bind
 from .bone_frames import armature_of, bone_order
 from .influences import columns_of, slice_rows, strongest, write_influences
 from .splat_object import refuse_edit_mode
-from .steps import run_to_end, slices
+from .steps import Steps, run_to_end, slices
 from .vertex_groups import GroupsAside, read_pairs
 
 Side = Literal["before", "result"]
@@ -45,6 +45,21 @@ def keep(obj: bpy.types.Object, name: str, start: Influences, bones: Sequence[st
     drop_kept(obj)
     _write_kept(obj.data, start.index, start.value)
     obj.data[names.COMPARED] = {"name": name, "shown": "result", "bones": list(bones)}
+
+
+def kept_side(obj: bpy.types.Object, bones: Sequence[str]) -> Array | None:
+    """(N, B) float32: the weights that are not shown, for `bones`; None where nothing is kept."""
+    if compared(obj) is None:
+        return None
+    index, value = _read_kept(obj.data)
+    kept = [str(bone) for bone in obj.data[names.COMPARED]["bones"]]
+    dense = Influences(index, value).dense(len(kept))
+    place = {name: number for number, name in enumerate(kept)}
+    out = np.zeros((len(index), len(bones)), np.float32)
+    for column, bone in enumerate(bones):
+        if bone in place:
+            out[:, column] = dense[:, place[bone]]
+    return out
 
 
 def drop_kept(obj: bpy.types.Object) -> None:
@@ -80,7 +95,7 @@ def show_side(obj: bpy.types.Object, side: Side) -> None:
             "deform bone; give it back its name, or run Auto-Skin again."
         )
     index = np.array([place.get(name, 0) for name in kept_bones], dtype=np.int32)[index]
-    shown = _read_shown(obj, deform)
+    shown = run_to_end(iter_shown(obj, deform))
     locked = [group.name for group in obj.vertex_groups if group.lock_weight]
     active = obj.vertex_groups.active.name if obj.vertex_groups.active is not None else ""
     with GroupsAside(obj) as groups:
@@ -90,7 +105,7 @@ def show_side(obj: bpy.types.Object, side: Side) -> None:
         group.lock_weight = group.name in locked
     obj.vertex_groups.active_index = max(0, obj.vertex_groups.find(active))
     _turn_by(obj, armature, deform, index, value)
-    _write_kept(obj.data, *shown)
+    _write_kept(obj.data, shown.index, shown.value)
     obj.data[names.COMPARED] = {"name": now[0], "shown": side, "bones": deform}
 
 
@@ -107,8 +122,8 @@ def _turn_by(
     write_influences(obj, bone_order(bind(obj, armature)), bones, best, share)
 
 
-def _read_shown(obj: bpy.types.Object, bones: Sequence[str]) -> tuple[Array, Array]:
-    """All that the vertex groups of `bones` hold, as painted: index and weight (N, K)."""
+def iter_shown(obj: bpy.types.Object, bones: Sequence[str]) -> Steps[Influences]:
+    """All that the vertex groups of `bones` hold, as painted: rows need not sum to 1. In slices."""
     place = {name: number for number, name in enumerate(bones)}
     lookup = np.array([place.get(group.name, -1) for group in obj.vertex_groups] or [-1])
     count = len(obj.data.vertices)
@@ -117,13 +132,14 @@ def _read_shown(obj: bpy.types.Object, bones: Sequence[str]) -> tuple[Array, Arr
         row, group, weight = read_pairs(obj, part)
         ours = lookup[group] >= 0
         found.append((row[ours] + part.start, lookup[group[ours]], weight[ours]))
+        yield part.stop / count
     row, bone, weight = (np.concatenate(parts) for parts in zip(*found, strict=True))
     counts = np.bincount(row, minlength=count)
     slot = np.arange(len(row)) - np.repeat(counts.cumsum() - counts, counts)
     width = max(1, int(counts.max(initial=0)))
     index, value = np.zeros((count, width), np.int32), np.zeros((count, width), np.float32)
     index[row, slot], value[row, slot] = bone, weight
-    return index, value
+    return Influences(index, value)
 
 
 def _read_kept(data: ObjectData) -> tuple[Array, Array]:

@@ -24,7 +24,10 @@ from ..core.splats import gltf
 from ..core.splats.axes import rotate_cloud
 from ..core.splats.cloud import SplatCloud
 from .bone_frames import armature_of
+from .fabric import bring_fabrics_back, lay_fabrics_aside
+from .gltf_clips import clips_of, keep_own, play_companions
 from .splat_object import is_splat_object, read_cloud
+from .visibility import shown
 
 _EXPORTER = "io_scene_gltf2"
 _hidden: list[tuple[str, str]] = []
@@ -61,6 +64,15 @@ class SplatExport:
         self._object = blender_object if splats else None
         export_settings["gltf_loose_points"] = splats or self._options["gltf_loose_points"]
         export_settings["gltf_apply"] = False if splats else self._options["gltf_apply"]
+
+    def gather_actions_hook(self, blender_object: Any, gathered: Any, export_settings: dict[str, Any]) -> None:
+        """An armature that moves splats is given no clips of others."""
+        if _moves_splats(blender_object):
+            keep_own(blender_object, gathered)
+
+    def pre_animation_switch_hook(self, blender_object: Any, blender_action: Any, *_: Any) -> None:
+        """Before a clip is sampled."""
+        play_companions(blender_object, blender_action)
 
     def gather_gltf_hook(self, active: int, scenes: Any, animations: Any, export_settings: dict[str, Any]) -> None:
         """When all is gathered: skinned splats become roots of their scene, their skins name the armature's node.
@@ -106,10 +118,12 @@ def export_glb(
     *,
     deform_bones_only: bool = False,
     animations: bool = True,
+    posed: bool = False,
 ) -> None:
     """Export splat objects, with the armatures they follow and their actions, as one .glb.
 
     Further objects in `objects` are exported as Blender does. The file appears at `path` when it is complete.
+    posed: the joints stand as the bones do now, and not at rest, also where there are clips.
 
     Raises InputError: no splat object, not a .glb name, no such folder, an object not in the scene or not
     selectable, non-uniform object scale; GSkinError where the exporter fails or the file cannot be written.
@@ -121,10 +135,17 @@ def export_glb(
         raise InputError(f"'{path.parent}' is no folder; create it or choose another one.")
     if not any(is_splat_object(obj) for obj in objects):
         raise InputError(f"'{path}': there are no splats among the objects to export; choose a splat object.")
-    armatures = [armature for obj in objects if (armature := armature_of(obj)) is not None]
+    armatures = list(dict.fromkeys(a for obj in objects if (a := armature_of(obj)) is not None))
     frame = bpy.context.scene.frame_current
     try:
-        with replaced(path, ".glb") as temporary, _selected([*objects, *armatures]), _discoverable(), nodes_hidden():
+        with (
+            replaced(path, ".glb") as temporary,
+            shown([*_seen(objects), *armatures], select=True),
+            _selected([*objects, *armatures]),
+            _discoverable(),
+            nodes_hidden(),
+            clips_of(armatures, posed=posed, animations=animations) as options,
+        ):
             _failures.clear()
             bpy.ops.export_scene.gltf(
                 filepath=str(temporary),
@@ -142,6 +163,7 @@ def export_glb(
                 export_animations=animations,
                 export_anim_slide_to_zero=True,
                 export_materials="EXPORT",
+                **options,
             )
             if _failures:
                 raise _failures[0]
@@ -155,6 +177,19 @@ def export_glb(
             bpy.context.scene.frame_set(frame)
 
 
+def _seen(objects: Sequence[bpy.types.Object]) -> Sequence[bpy.types.Object]:
+    """Those of the objects that are not hidden: what an artist hides is not to be exported."""
+    layer = bpy.context.view_layer
+    layer.update()
+    return [obj for obj in objects if layer.objects.get(obj.name) == obj and obj.visible_get(view_layer=layer)]
+
+
+def _moves_splats(obj: Any) -> bool:
+    return obj is not None and obj.type == "ARMATURE" and any(
+        is_splat_object(other) and armature_of(other) == obj for other in bpy.data.objects
+    )
+
+
 def _last_error(error: RuntimeError) -> str:
     """The line of an operator's traceback that says what happened."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
@@ -163,7 +198,8 @@ def _last_error(error: RuntimeError) -> str:
 
 
 def hide_nodes() -> None:
-    """Switch off the Geometry Nodes modifiers of all splat objects, until `show_nodes`."""
+    """Switch off the Geometry Nodes modifiers of all splat objects and lay their fabrics aside, until `show_nodes`."""
+    lay_fabrics_aside()
     for obj in bpy.data.objects:
         if is_splat_object(obj):
             for modifier in obj.modifiers:
@@ -173,7 +209,8 @@ def hide_nodes() -> None:
 
 
 def show_nodes() -> None:
-    """Switch on what `hide_nodes` switched off."""
+    """Switch on what `hide_nodes` switched off, and bring the fabrics back."""
+    bring_fabrics_back()
     if not _hidden:
         return
     present = {obj.name: obj for obj in bpy.data.objects if is_splat_object(obj)}

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The node group that draws splats as coloured ellipsoids.
+"""The node group that draws splats: as Blender's own (5.3 and later, `native_nodes.py`), or as coloured ellipsoids.
 
-In the viewport they are octahedra of one mesh, which Blender draws fast and which show their colours in Solid mode
-too; in renders they are instances of a sphere whose material fades like the Gaussian itself.
+Ellipsoids: in the viewport they are octahedra of one mesh, which Blender draws fast and which show their colours in
+Solid mode too; in renders they are instances of a sphere whose material fades like the Gaussian itself.
 """
 
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import bpy
@@ -15,31 +16,42 @@ import numpy as np
 
 from . import names
 from .attributes import read_attribute
-from .display_colors import SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF, splat_color
+from .display_colors import SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF, splat_color, splat_srgb
 from .materials import FAINTEST, render_material
+from .native_nodes import has_native_splats, native_splats
 from .node_builder import Tree, add_modifier, find_group, geometry_group, get_input, has_input, set_input
 from .octahedra import CORNERS, ensure_octahedra, octahedra_count
+from .viewport.nodes import shader_points
 
-VERSION = 3
+VERSION = 5
 
 VIEWPORT_LIMIT = 100_000
 VIEWPORT_SIGMAS = 1.6
 """Radius of a splat drawn solid. A Gaussian stops to hide what is behind it at about 1.2 standard deviations; an
 octahedron needs more to cover as much, and with less a surface shows holes."""
 
+NATIVE = "Native Splats"
+_NATIVE_INPUT: tuple[str, str, dict[str, Any]] = (
+    NATIVE,
+    "NodeSocketBool",
+    {"default_value": True, "description": "Draw Blender's own Gaussian splats in every engine; off, ellipsoids"},
+)
+
 _INPUTS: list[tuple[str, str, dict[str, Any]]] = [
     (
         "Display",
         "NodeSocketBool",
-        {"default_value": True, "description": "Draw ellipsoids; off, the object is its bare points"},
+        {"default_value": True, "description": "Draw the splats; off, the object is its bare points"},
     ),
+    *([_NATIVE_INPUT] if has_native_splats() else []),
     (
         "Viewport Limit",
         "NodeSocketInt",
         {
             "default_value": VIEWPORT_LIMIT,
             "min_value": 1,
-            "description": "Most splats drawn in the viewport, spread evenly over all; renders draw every one",
+            "description": "Most splats drawn in the viewport, those that hide most; of ellipsoids some of all parts. "
+            "Renders draw every one",
         },
     ),
     (
@@ -83,7 +95,13 @@ DISPLAY_INPUTS = tuple(label for label, _, _ in _INPUTS)
 """Labels of what can be set, in the order of the modifier."""
 
 OCTAHEDRA = "Octahedra"
-_HIDDEN: list[tuple[str, str, dict[str, Any]]] = [(OCTAHEDRA, "NodeSocketObject", {"hide_in_modifier": True})]
+BY_SHADER = "Drawn by Shader"
+"""True while the shader of `viewport/` draws the object; nothing else sets it, and no saved file has it."""
+
+_HIDDEN: list[tuple[str, str, dict[str, Any]]] = [
+    (OCTAHEDRA, "NodeSocketObject", {"hide_in_modifier": True}),
+    (BY_SHADER, "NodeSocketBool", {"default_value": False, "hide_in_modifier": True}),
+]
 
 
 def display_group() -> bpy.types.NodeTree:
@@ -110,6 +128,16 @@ def add_display(obj: bpy.types.Object) -> bpy.types.NodesModifier:
         match_octahedra(obj)
     obj.modifiers.move(obj.modifiers.find(modifier.name), len(obj.modifiers) - 1)
     return modifier
+
+
+def renew_display(obj: bpy.types.Object) -> None:
+    """Give a display of an older file the present node group; what was set stays."""
+    modifier = add_display(obj)
+    kept = {name: get_input(modifier, name) for name in DISPLAY_INPUTS if has_input(modifier, name)}
+    modifier.node_group = display_group()
+    for name, value in kept.items():
+        set_input(modifier, name, value)
+    match_octahedra(obj)
 
 
 def set_display(obj: bpy.types.Object, name: str, value: Any) -> None:
@@ -147,7 +175,7 @@ def _build(group: bpy.types.NodeTree) -> None:
 
     base = sampled(names.BASE, "FLOAT_COLOR")
     opacity = tree.output(tree.node("FunctionNodeSeparateColor", {"Color": base}), "Alpha")
-    shown_as = (tree.output(source, label) for label in (SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF))
+    shown_as = [tree.output(source, label) for label in (SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF)]
     color = splat_color(tree, sampled, *shown_as)
     points = tree.out("GeometryNodePoints", "Points", {"Count": shown, "Position": sampled("position", "FLOAT_VECTOR")})
 
@@ -190,11 +218,34 @@ def _build(group: bpy.types.NodeTree) -> None:
     reach = tree.math("SQRT", tree.math("MULTIPLY", tree.math("LOGARITHM", ratio, math.e), 2.0))
     soft = instances(sphere, tree.math("MULTIPLY", size, reach), tree.math("GREATER_THAN", reach, 0.0))
 
+    bare = shader_points(tree, splats, shown_as, partial(splat_color, tree))
+    inputs = {"Switch": tree.output(source, BY_SHADER), "False": solid, "True": bare}
+    solid = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
     inputs = {"Switch": in_viewport, "False": soft, "True": solid}
     drawn = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
-    inputs = {"Switch": tree.output(source, "Display"), "False": splats, "True": drawn}
+    if has_native_splats():
+        inputs = {"Switch": tree.output(source, NATIVE), "False": drawn, "True": _native(tree, source)}
+        drawn = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
+    # Without a display nothing is seen of the fabric either, see `fabric.py`.
+    inputs = {"Geometry": splats}
+    bare = tree.out("GeometryNodeDeleteGeometry", "Geometry", inputs, domain="EDGE", mode="EDGE_FACE")
+    inputs = {"Switch": tree.output(source, "Display"), "False": bare, "True": drawn}
     result = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
     tree.node("NodeGroupOutput", {"Geometry": result})
+
+
+def _native(tree: Tree, source: Any) -> Any:
+    """All splats as Blender's own, in the viewport too."""
+    splats = tree.output(source, "Geometry")
+    index = tree.out("GeometryNodeInputIndex", "Index")
+
+    def sampled(name: Any, kind: str) -> Any:
+        inputs = {"Geometry": splats, "Value": tree.attribute(name, kind), "Index": index}
+        return tree.out("GeometryNodeSampleIndex", "Value", inputs, data_type=kind, domain="POINT")
+
+    shown_as = (tree.output(source, label) for label in (SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF))
+    srgb, special = splat_srgb(tree, sampled, *shown_as)
+    return native_splats(tree, splats, tree.output(source, "Size"), special, srgb)
 
 
 def _place(tree: Tree, octahedra: Any, points: Any, factor: Any) -> Any:

@@ -22,6 +22,7 @@ from . import names
 from .attributes import ObjectData, read_attribute, read_positions, write_attribute, write_positions
 from .extra_columns import read_extra, write_extra
 from .node_groups import add_display
+from .steps import Steps, run_to_end
 from .transforms import world_similarity
 
 VERSION = 1
@@ -38,11 +39,23 @@ def create_splat_object(
     With `display` it gets the node group that draws the splats. Takes 0.3 s per million splats of degree 0.
     Raises InputError for an empty cloud.
     """
+    return run_to_end(create_splat_steps(cloud, name, collection=collection, display=display))
+
+
+def create_splat_steps(
+    cloud: SplatCloud, name: str, *, collection: bpy.types.Collection | None = None, display: bool = True
+) -> Steps[bpy.types.Object]:
+    """`create_splat_object` in slices; nothing of it stays where they end early."""
     if cloud.count == 0:
         raise InputError(f"'{name}' has no splats; choose a file with at least one.")
     mesh = bpy.data.meshes.new(name)
-    mesh.vertices.add(cloud.count)
-    _write_columns(mesh, cloud)
+    try:
+        mesh.vertices.add(cloud.count)
+        yield 0.0
+        yield from _column_steps(mesh, cloud)
+    except BaseException:
+        bpy.data.meshes.remove(mesh)
+        raise
     obj = bpy.data.objects.new(name, mesh)
     (collection or bpy.context.scene.collection).objects.link(obj)
     if cloud.offset.any():
@@ -102,7 +115,7 @@ def replace_cloud(obj: bpy.types.Object, cloud: SplatCloud) -> None:
             "create a new object for them."
         )
     mesh: ObjectData = obj.data
-    _write_columns(mesh, cloud)
+    run_to_end(_column_steps(mesh, cloud))
 
 
 def refuse_edit_mode(obj: bpy.types.Object) -> None:
@@ -111,16 +124,27 @@ def refuse_edit_mode(obj: bpy.types.Object) -> None:
         raise InputError(f"'{obj.name}' is in Edit Mode; leave it (Tab) and try again.")
 
 
-def _write_columns(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
+def _column_steps(mesh: bpy.types.Mesh, cloud: SplatCloud) -> Steps[None]:
+    """Write every value of the cloud, one attribute after the other."""
     write_positions(mesh, cloud.means)
+    yield 0.1
     write_attribute(mesh, names.ROTATION, "QUATERNION", cloud.quats)
+    yield 0.15
     write_attribute(mesh, names.SCALE, "FLOAT_VECTOR", cloud.scales)
+    yield 0.2
     base = np.empty((cloud.count, 4), dtype=np.float32)
     base[:, :3], base[:, 3] = cloud.sh[:, 0], cloud.opacities
     write_attribute(mesh, names.BASE, "FLOAT_COLOR", base)
-    for index in range(cloud.sh.shape[1] - 1):
+    yield 0.25
+    coefficients = cloud.sh.shape[1] - 1
+    for index in range(coefficients):
         write_attribute(mesh, names.SH.format(index), "FLOAT_VECTOR", cloud.sh[:, index + 1])
-    columns = write_extra(mesh, cloud.extra)
+        yield 0.25 + 0.65 * (index + 1) / coefficients
+    columns = write_extra(mesh, {})
+    for number, (column, values) in enumerate(cloud.extra.items()):
+        told = write_extra(mesh, {column: values})
+        columns = {key: f"{columns[key]}\n{text}" if number else text for key, text in told.items()}
+        yield 0.9
     mark = mesh.get(names.MARK)
     up = None if mark is None else mark.get("up")
     mesh[names.MARK] = {"version": VERSION, "sh_degree": cloud.sh_degree, **columns}

@@ -26,6 +26,7 @@ from .compared import drop_kept, keep
 from .influences import columns_of, slice_rows, strongest, write_influences
 from .object_ref import ObjectRef, object_by_uid
 from .rotation_nodes import add_rotation, frames_of
+from .single_user import own_mesh, sharers
 from .splat_object import is_splat_object, refuse_edit_mode
 from .steps import SLICE, Steps, part_of, run_to_end, slices
 from .vertex_groups import GroupsAside, read_pairs
@@ -164,6 +165,7 @@ class NewWeights:
             drop_kept(obj)
         else:
             keep(obj, *self._start, self._bones)
+        mark_edited(obj, False)
 
     def _choose(self) -> Steps[None]:
         bones, columns = len(self._deform), np.array(self._columns)
@@ -237,7 +239,24 @@ def iter_update_rotation_weights(obj: bpy.types.Object) -> Steps[None]:
     yield from _read(ref, bones, slice_rows(len(bones)), take)
     obj = ref.find()
     frames = bind(obj, _armature_of(obj))
+    if any(bone_order(other) != bone_order(frames) for other in _frames_of_sharers(obj)):
+        own_mesh(obj)  # the bones are stored by their number, which means another bone there
     write_influences(obj, bone_order(frames), bones, index, value)
+    mark_edited(obj, True)
+
+
+def mark_edited(obj: bpy.types.Object, edited: bool) -> None:
+    """Remember whether somebody changed the weights since a job or a file gave them."""
+    mark = obj.data[names.MARK]
+    if edited:
+        mark["edited"] = True
+    elif "edited" in mark:
+        del mark["edited"]
+
+
+def is_edited(obj: bpy.types.Object) -> bool:
+    """Whether somebody changed the weights since a job or a file gave them."""
+    return bool(obj.data[names.MARK].get("edited", False))
 
 
 def follows_foreign_frames(obj: bpy.types.Object) -> bool:
@@ -253,6 +272,11 @@ def repoint_frames(obj: bpy.types.Object) -> bool:
         return False
     add_rotation(obj, ensure_bone_frames(armature), armature_modifier(obj))
     return True
+
+
+def _frames_of_sharers(obj: bpy.types.Object) -> list[bpy.types.Object]:
+    found = [frames_of(bpy.data.objects[name]) for name in sharers(obj)]
+    return [frames for frames in found if frames is not None]
 
 
 def _armature_of(obj: bpy.types.Object) -> bpy.types.Object:

@@ -74,6 +74,12 @@ class GSkinSettings(bpy.types.PropertyGroup):
         items=_FRONTS,
         default=_DEFAULTS.front,
     )
+    paintable: bpy.props.BoolProperty(
+        name="Make Paintable",
+        description="Lay a fabric under the splats, on which Blender's brushes and weight tools work. It is seen in "
+        "Weight Paint and Edit Mode only, never rendered or exported; the file grows by some 60 bytes a splat",
+        default=True,
+    )
     max_influences: bpy.props.IntProperty(
         name="Max Influences",
         description="The most bones that move one splat; game engines and glTF viewers expect 4",

@@ -17,6 +17,7 @@ from ..scene.follow_transforms import warning_of
 from ..scene.placement import is_placed, shift_of, up_of
 from ..scene.proxy_object import followed_armature
 from ..scene.rig_fit import SplatSample, guess_rig_scale, rest_skeleton, sample_splats, to_world
+from ..scene.single_user import sharers
 from ..scene.splat_object import splat_count
 from ..scene.transforms import similarity_as_shown
 from . import learning_runtime
@@ -45,6 +46,9 @@ class Check:
     options: tuple[tuple[str, Any], ...] = ()
 
 
+MODE = "Mode"
+"""Name of the check that nothing is in Edit Mode."""
+
 _samples: dict[tuple[Any, ...], SplatSample] = {}
 _fits: dict[tuple[Any, ...], list[Check]] = {}
 _KEPT = 8
@@ -53,20 +57,25 @@ _KEPT = 8
 def checks(context: bpy.types.Context) -> list[Check]:
     """All checks of the chosen objects, in the order to mend them in. Quick: panels ask on every redraw."""
     splats, armature = chosen_splats(context), chosen_armature(context)
-    found = [_splats_check(splats), _armature_check(armature)]
+    found = [_splats_check(splats), _armature_check(context, armature)]
     if splats is not None and armature is not None:
         found += [_mode_check(splats, armature), _scale_check(splats, armature), *_transform_checks(splats)]
         if all(check.state == "ok" for check in found):
             found += _fit_checks(splats, armature)
+        found += [_owner_check(splats, armature)]
     found.append(_python_check(context))
     return found
 
 
-def what_is_missing(context: bpy.types.Context) -> str:
-    """What a person must do before Auto-Skin can run, or nothing. Quick: menus ask on every redraw."""
+def what_is_missing(context: bpy.types.Context, *, in_edit_mode: bool = False) -> str:
+    """What a person must do before Auto-Skin can run, or nothing. Quick: menus ask on every redraw.
+
+    in_edit_mode: Edit Mode is no obstacle, whoever asks leaves it.
+    """
     if state.job is not None:
         return "Auto-Skin is running: wait for it or cancel it"
-    return next((check.sentence for check in checks(context) if check.state == "stop"), "")
+    stops = (check for check in checks(context) if check.state == "stop")
+    return next((check.sentence for check in stops if not (in_edit_mode and check.name == MODE)), "")
 
 
 def guidance_remedy(context: bpy.types.Context) -> learning_runtime.Remedy | None:
@@ -93,9 +102,9 @@ def _splats_check(splats: bpy.types.Object | None) -> Check:
     return Check("Splats")
 
 
-def _armature_check(armature: bpy.types.Object | None) -> Check:
+def _armature_check(context: bpy.types.Context, armature: bpy.types.Object | None) -> Check:
     if armature is None:
-        return Check("Armature", "stop", "No armature is chosen: add one, or select it")
+        return Check("Armature", "stop", _instanced(context) or "No armature is chosen: add one, or select it")
     if not any(bone.use_deform for bone in armature.data.bones):
         sentence = f"Armature '{armature.name}' has no deform bones: turn on Deform for some"
         if not armature.data.bones or armature.mode == "EDIT":
@@ -104,11 +113,38 @@ def _armature_check(armature: bpy.types.Object | None) -> Check:
     return Check("Armature")
 
 
+def _instanced(context: bpy.types.Context) -> str:
+    """Where an armature is in the scene only as part of an instanced collection, what to do about it."""
+    for obj in context.scene.objects:
+        collection = obj.instance_collection if obj.instance_type == "COLLECTION" else None
+        rig = None if collection is None else next((o for o in collection.all_objects if o.type == "ARMATURE"), None)
+        if rig is not None:
+            linked = "Object > Library Override > Make"
+            how = linked if rig.library is not None else "Object > Apply > Make Instances Real"
+            return f"Armature '{rig.name}' is only in the instance '{obj.name}': {how}"
+    return ""
+
+
+def _owner_check(splats: bpy.types.Object, armature: bpy.types.Object) -> Check:
+    """Whether the splats can be written to, and only theirs are."""
+    if splats.library is not None or splats.data.library is not None:
+        sentence = f"'{splats.name}' is linked from another file: make it local (Object > Relations)"
+        return Check("Owner", "stop", sentence)
+    others = sharers(splats)
+    if others:
+        sentence = f"'{splats.name}' shares its mesh with '{others[0]}', and will get one of its own"
+        return Check("Owner", "warn", sentence)
+    if armature.library is not None:
+        sentence = f"Armature '{armature.name}' is linked: to pose it, make it local (Object > Relations)"
+        return Check("Owner", "warn", sentence)
+    return Check("Owner")
+
+
 def _mode_check(splats: bpy.types.Object, armature: bpy.types.Object) -> Check:
     if splats.mode == "EDIT" or armature.mode == "EDIT":
         sentence = "An object is in Edit Mode: leave it (Tab)"
-        return Check("Mode", "stop", sentence, "object.mode_set", "Leave Edit Mode", (("mode", "OBJECT"),))
-    return Check("Mode")
+        return Check(MODE, "stop", sentence, "object.mode_set", "Leave Edit Mode", (("mode", "OBJECT"),))
+    return Check(MODE)
 
 
 def _scale_check(splats: bpy.types.Object, armature: bpy.types.Object) -> Check:

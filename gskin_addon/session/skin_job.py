@@ -32,15 +32,21 @@ from ..scene.armature import read_skeleton
 from ..scene.attributes import read_attribute, write_attribute
 from ..scene.binding import bind
 from ..scene.bone_frames import armature_of
+from ..scene.compared import iter_shown, keep
+from ..scene.fabric import iter_triangles, lay_under
 from ..scene.object_ref import object_by_uid
 from ..scene.proxy_object import iter_write_weights_through
 from ..scene.seams import read_seams
+from ..scene.single_user import own_mesh, said_of, sharers
 from ..scene.splat_object import read_cloud, splat_count
 from ..scene.steps import Steps, part_of, run_to_end
 from ..scene.weight_edits import iter_edit_weights, locked_groups
-from ..scene.weights import iter_write_weights, read_weights
+from ..scene.weights import is_edited, iter_write_weights, mark_edited, read_weights
 
 Array = NDArray[Any]
+
+YOURS = "your weights from before"
+"""What Compare Weights calls weights that were changed by hand before a job gave others."""
 
 KEPT_JOBS = 3
 """Stopped jobs that are kept, so that the same click goes on where it was."""
@@ -52,6 +58,8 @@ _ROOT = __package__.rpartition(".")[0]
 class SkinJob:
     """A worker busy for a splat object and an armature, known by session id because names may change."""
 
+    title = "Auto-Skin"
+
     client: WorkerClient
     splats: tuple[int, str]
     armature: tuple[int, str]
@@ -61,6 +69,7 @@ class SkinJob:
     anchored: bool = True
     kept: bool = False
     only: Array | None = None
+    paintable: bool = False
     started: float = field(default_factory=time.monotonic)
     progress: ProgressEvent = field(default_factory=lambda: ProgressEvent("start"))
     progress_at: float = field(default_factory=time.monotonic)
@@ -81,6 +90,7 @@ class SkinJob:
         label: str = "",
         allow_download: bool = False,
         only: Array | None = None,
+        paintable: bool = False,
     ) -> SkinJob:
         """Write the job of these objects at rest, in world space, and start a worker on it.
 
@@ -88,7 +98,8 @@ class SkinJob:
         (anchored=False) get weights of their own from it. folder: where the job is kept, also after its end; one of
         the user's own, for the time of the run, when left out. only (N,) bool: splats whose weights may change; a
         guidance then starts from the present ones. Not with a proxy. label: what messages call the splats.
-        allow_download: the person agreed to fetch models that are missing; this run only, nothing keeps it.
+        allow_download: the person agreed to fetch models that are missing; this run only, nothing keeps it. paintable:
+        the splats get a fabric for Blender's weight tools.
 
         Raises:
             InputError: objects that cannot be skinned, an interpreter that cannot be started.
@@ -142,6 +153,7 @@ class SkinJob:
             anchored,
             folder is not None,
             only,
+            paintable,
         )
 
     def wait(self, show: Callable[[ProgressEvent], None]) -> None:
@@ -190,7 +202,12 @@ class SkinJob:
                 "run Auto-Skin again."
             )
         name, words = armature.name, ""
+        shared = said_of(splats, sharers(splats))
         options: dict[str, Any] = {"max_influences": self.max_influences, "confidence": result.confidence}
+        triangles = None
+        if self.paintable and not proxies:
+            bone = result.weights.argmax(axis=1)
+            triangles = yield from part_of(iter_triangles(splats, bone, armature), 0.0, 0.1)
         if proxies and self.anchored:
             if result.mesh_weights is None:
                 raise GSkinError("The worker gave no weights for the mesh; run Auto-Skin again.")
@@ -199,29 +216,46 @@ class SkinJob:
         elif self.only is not None or locked_groups(splats, result.bones):
             words = yield from self._merge(splats, armature, result)
         else:
-            if result.start is not None:
+            if armature_of(splats) == armature and is_edited(splats):
+                # What somebody did by hand outweighs what learning started from.
+                options["start"] = YOURS, (yield from part_of(iter_shown(splats, result.bones), 0.0, 0.0))
+            elif result.start is not None:
                 options["start"] = str(result.report.get("start") or "initial weights"), result.start
             yield from iter_write_weights(splats, armature, result.weights, result.bones, **options)
+        if triangles is not None:
+            lay_under(splats, triangles)
         if not self.kept:
             shutil.rmtree(self.client.folder, ignore_errors=True)
         seconds = time.monotonic() - self.started
         words = words or f"{self.count:,} splats follow {len(result.bones)} bones of '{name}' ({seconds:.0f} s)"
+        words = f"{words}; {shared}" if shared else words
         summary = result.report.get("summary")
         return f"{words}; {summary}" if isinstance(summary, str) and summary else words
 
     def _merge(self, splats: bpy.types.Object, armature: bpy.types.Object, result: Result) -> Steps[str]:
         """Write the weights of the chosen splats and the bones that are not locked; the others stay to the bit."""
+        own_mesh(splats)
         if armature_of(splats) != armature:
             bind(splats, armature)
         order = [list(result.bones).index(bone) for bone in read_skeleton(armature).names]
-        locked = locked_groups(splats, result.bones)
+        locked, before = locked_groups(splats, result.bones), None
+        if is_edited(splats):
+            before = yield from part_of(iter_shown(splats, result.bones), 0.0, 0.0)
         count = yield from part_of(iter_edit_weights(splats, lambda _: result.weights[:, order], self.only), 0.0, 1.0)
+        if before is not None:
+            keep(splats, YOURS, before, result.bones)
+        mark_edited(splats, before is not None)
         confidence = read_attribute(splats.data, names.CONFIDENCE)
         if result.confidence is not None and confidence is not None:
             new = result.confidence if self.only is None else np.where(self.only, result.confidence, confidence)
             write_attribute(splats.data, names.CONFIDENCE, "FLOAT", new)
         words = f"{count:,} splats of '{splats.name}' have new weights"
         return f"{words}; {len(locked)} locked groups stayed" if locked else words
+
+    @property
+    def pictures(self) -> Path:
+        """Folder of the guidance and weights that the worker shows."""
+        return self.client.folder
 
     @property
     def seconds_left(self) -> float | None:

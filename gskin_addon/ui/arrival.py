@@ -11,6 +11,7 @@ from ..scene import views
 from ..scene.bone_frames import armature_of
 from ..scene.placement import is_placed, shift_of, up_of
 from ..session.chosen import chosen_armature, chosen_splats
+from .translations import BUTTON, tr
 
 
 def draw(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
@@ -20,7 +21,8 @@ def draw(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
         return
     placed = is_placed(splats)
     row = layout.row(align=True)
-    row.label(text=f"{up_of(splats).upper()} up, " + ("on the floor" if placed else "where the file has it"))
+    up = tr("{axis} up, on the floor") if placed else tr("{axis} up, where the file has it")
+    row.label(text=up.format(axis=up_of(splats).upper()))
     if armature_of(splats) is None:
         row.operator_menu_enum("gskin.turn_up", "up", text="Turn")
         if placed:
@@ -32,6 +34,6 @@ def draw(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
     space: Any = context.space_data
     if space is not None and space.type == "VIEW_3D" and space.shading.type == "SOLID":
         shown = views.shows_colors(space)
-        text = "Hide Splat Colors" if shown else "Show Splat Colors"
+        text = tr("Hide Splat Colors", BUTTON) if shown else tr("Show Splat Colors", BUTTON)
         layout.operator("gskin.show_splat_colors", text=text, icon="COLOR").show = not shown
 

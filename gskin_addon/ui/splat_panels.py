@@ -3,15 +3,19 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import bpy
 
 from ..scene import names
 from ..scene.anchored import proxy_of
 from ..scene.display_colors import SHOW_CONFIDENCE, SHOW_WEIGHTS_OF
+from ..scene.fabric import has_fabric
 from ..scene.node_builder import has_input, input_property
-from ..scene.node_groups import DISPLAY_INPUTS, find_display
+from ..scene.node_groups import BY_SHADER, DISPLAY_INPUTS, find_display
+from ..scene.viewport import switch
 from ..session.chosen import chosen_splats
-
+from .translations import BUTTON, tr
 
 _EDITS = (
     (("gskin.smooth_weights", "Smooth"), ("gskin.sharpen_weights", "Sharpen")),
@@ -44,6 +48,7 @@ class GSKIN_PT_display(_Child, bpy.types.Panel):
         column = self.layout.column()
         column.use_property_split = True
         column.use_property_decorate = False
+        _draw_true_splats(context, splats, column)
         for name in DISPLAY_INPUTS:
             if not has_input(modifier, name):
                 continue
@@ -54,6 +59,23 @@ class GSKIN_PT_display(_Child, bpy.types.Panel):
                 column.prop_search(owner, path, splats, "vertex_groups", text=name)
             else:
                 column.prop(owner, path, text=name)
+
+
+def _draw_true_splats(context: bpy.types.Context, splats: bpy.types.Object, layout: bpy.types.UILayout) -> None:
+    """The switch between splats and ellipsoids, and why there may be ellipsoids all the same."""
+    if switch.is_native(find_display(splats)):
+        return
+    layout.prop(context.scene, "gskin_draw_splats")
+    if not switch.setting(context.scene):
+        return
+    if switch.failure:
+        box = layout.box()
+        box.alert = True
+        box.label(text="Splats cannot be drawn; ellipsoids are:", icon="ERROR")
+        for line in textwrap.wrap(switch.failure, 48)[:4]:
+            box.label(text=line)
+    elif not has_input(find_display(splats), BY_SHADER):
+        layout.operator("gskin.renew_display", icon="FILE_REFRESH")
 
 
 class GSKIN_PT_weights(_Child, bpy.types.Panel):
@@ -75,11 +97,17 @@ class GSKIN_PT_weights(_Child, bpy.types.Panel):
         for pair in _EDITS:
             row = column.row(align=True)
             for operator, text in pair:
-                row.operator(operator, text=text)
+                row.operator(operator, text=tr(text, BUTTON))
         row = column.row(align=True)
         row.operator("gskin.separate_parts", icon="MOD_EDGESPLIT")
         row.operator("gskin.select_seams", text="", icon="RESTRICT_SELECT_OFF")
         row.operator("gskin.clear_seams", text="", icon="X")
+        column.operator("gskin.refine_selected", icon="MOD_ARMATURE")
+        row = column.row(align=True)
+        if chosen_splats(context).mode == "WEIGHT_PAINT" and not has_fabric(chosen_splats(context)):
+            column.label(text="Brushes need a fabric under the splats", icon="INFO")
+        row.operator("gskin.make_paintable", icon="WPAINT_HLT")
+        row.operator("gskin.remove_fabric", text="", icon="X")
         column.separator()
         if proxy_of(chosen_splats(context)) is None:
             column.operator("gskin.anchor_to_mesh", icon="MESH_DATA")

@@ -18,7 +18,7 @@ from gskin_addon.core.job.scope import read_scope
 from gskin_addon.scene import names
 from gskin_addon.scene.seams import read_seams
 from gskin_addon.scene.splat_object import create_splat_object
-from gskin_addon.scene.weights import read_weights, write_weights
+from gskin_addon.scene.weights import is_edited, read_weights, write_weights
 from gskin_addon.session import skin_job
 
 CHAIN = [(f"bone {i}", (0, 0, 0.25 * i), (0, 0, 0.25 * (i + 1))) for i in range(4)]
@@ -114,3 +114,36 @@ def test_a_guidance_starts_from_the_weights_that_are_there(scene):
     _, scope = run(splats, armature, only, guidance="elastic")
     assert np.array_equal(scope.only, np.arange(50))
     np.testing.assert_allclose(scope.present, weights, atol=1e-6)
+
+
+def test_hand_work_is_kept_beside_new_weights_and_blends_with_them(scene):
+    splats, armature, _ = scene
+    assert not is_edited(splats)
+    select(splats, np.arange(200) < 30)
+    bpy.ops.gskin.flood_weights(bone="bone 2", weight=0.5)
+    assert is_edited(splats)
+    mine = read_weights(splats)[0]
+    run(splats, armature)
+    assert not is_edited(splats)
+    theirs = read_weights(splats)[0]
+    assert (theirs[:, 0] == 1).all()
+    assert bpy.ops.gskin.compare_weights(show="BEFORE") == {"FINISHED"}
+    assert np.array_equal(read_weights(splats)[0], mine)
+    bpy.ops.gskin.compare_weights(show="RESULT")
+    assert bpy.ops.gskin.blend_weights(factor=0.25) == {"FINISHED"}
+    np.testing.assert_allclose(read_weights(splats)[0], 0.75 * theirs + 0.25 * mine, atol=1e-6)
+
+
+def test_refine_selected_changes_the_selection_alone(scene):
+    splats, _armature, _ = scene
+    before = read_weights(splats)[0]
+    only = np.arange(200) >= 150
+    select(splats, only)
+    bpy.ops.object.mode_set(mode="EDIT")
+    assert bpy.ops.gskin.refine_selected() == {"FINISHED"}
+    after = read_weights(splats)[0]
+    assert np.array_equal(after[~only], before[~only])
+    assert (after[only, 0] == 1).all()
+    select(splats, np.zeros(200, bool))
+    with pytest.raises(RuntimeError, match="No splats of 'Rod' are selected"):
+        bpy.ops.gskin.refine_selected()

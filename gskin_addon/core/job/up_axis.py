@@ -28,6 +28,8 @@ def resolve_up(up: str, cloud: SplatCloud, skeleton: Skeleton | None = None) -> 
         up_rotation(up)
         return up, ""
     guess = guess_up_for(cloud, skeleton) if skeleton is not None else guess_up(cloud)
+    if not guess.sure and cloud.up:
+        guess = UpGuess(cloud.up, "as its format says", 1.0)
     return guess.axis, f"assumed {guess.sentence}"
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,10 @@ from numpy.typing import NDArray
 
 from ..splats.cloud import SplatCloud
 from ..splats.sh import rotate_sh as rotate_coefficients
+from .bendy import BendyBone
+from .covariance import transform_gaussians
 from .quaternion import matrix_to_quat, nearest_rotation, normalize, quat_multiply, quat_to_matrix
+from .stretch import RIGID, polar, second_moments, stretched_maps, unevenness
 
 Array = NDArray[Any]
 
@@ -51,25 +55,120 @@ def skin_quats(weights: Array, transforms: Array) -> Array:
     transforms = np.asarray(transforms, dtype=np.float64)
     _check_shapes(len(weights), weights, transforms)
     quats = matrix_to_quat(nearest_rotation(transforms[..., :3, :3]))
-    dominant = np.argmax(weights, axis=1)
     dtype = weights.dtype if np.issubdtype(weights.dtype, np.floating) else np.dtype(np.float64)
     lead = transforms.shape[:-3]
     out = np.empty((*lead, len(weights), 4), dtype=dtype)
     for index in np.ndindex(*lead):
-        q = quats[index]
-        sign = np.where(q @ q.T < 0, -1.0, 1.0).astype(dtype)
-        out[index] = normalize((weights * sign[dominant]) @ q.astype(dtype))
+        out[index] = blend_quats(weights, quats[index])
     return out
 
 
-def skin_cloud(cloud: SplatCloud, weights: Array, transforms: Array, *, rotate_sh: bool = True) -> SplatCloud:
+def blend_quats(weights: Array, quats: Array) -> Array:
+    """normalise(sum_b w_b s_b q_b) for weights (N, B) and unit quaternions (B, 4): Eq. 3, signs as in `skin_quats`."""
+    dtype = weights.dtype if np.issubdtype(weights.dtype, np.floating) else np.dtype(np.float64)
+    sign = np.where(quats @ quats.T < 0, -1.0, 1.0).astype(dtype)
+    return normalize((weights * sign[np.argmax(weights, axis=1)]) @ quats.astype(dtype))
+
+
+def skin_cloud(
+    cloud: SplatCloud,
+    weights: Array,
+    transforms: Array,
+    *,
+    rotate_sh: bool = True,
+    bends: Mapping[int, BendyBone] | None = None,
+) -> SplatCloud:
     """The posed cloud: centres by Eq. 1, covariances turned by Eq. 3, SH coefficients turned with them.
 
-    weights (N, B), transforms (B, 4, 4). With `rotate_sh=False` the coefficients stay as they are, for a
-    renderer that turns the view direction instead.
+    weights (N, B) with rows that sum to 1, transforms (B, 4, 4); bends: the bones among them that bend. Splats of
+    bones that are scaled, sheared, mirrored or bent are turned and stretched by the local linear map (`stretch.py`).
+    With `rotate_sh=False` the coefficients stay as they are, for a renderer that turns the view direction instead.
     """
     if np.ndim(transforms) != 3:
         raise ValueError(f"skin_cloud takes one pose (B, 4, 4), got shape {np.shape(transforms)}")
+    posed = _skin_turned(cloud, weights, transforms, rotate_sh)
+    bent = {bone: bend for bone, bend in (bends or {}).items() if bend.is_bent(transforms[bone])}
+    odd = bone_unevenness(transforms) > RIGID
+    odd[list(bent)] = True
+    rows = np.flatnonzero((np.asarray(weights)[:, odd] > 0).any(axis=1))
+    for first in range(0, len(rows), PART // 4):
+        some = rows[first : first + PART // 4]
+        points = cloud.means[some].astype(np.float64)
+        means, turn, maps, mirrored = local_deform(points, weights[some], transforms, bent)
+        posed = stretch_rows(posed, cloud, some, turn, maps, mirrored, rotate_sh=rotate_sh)
+        posed.means[some] = means
+    return posed
+
+
+def bone_unevenness(transforms: Array) -> Array:
+    """(B,) how far bones' transforms (B, 4, 4) are from rotations (`stretch.unevenness`); at least 1 where mirrored."""
+    _, stretch, parity = polar(np.asarray(transforms)[:, :3, :3])
+    return np.maximum(unevenness(stretch), parity < 0)
+
+
+def local_deform(
+    points: Array, weights: Array, transforms: Array, bends: Mapping[int, BendyBone]
+) -> tuple[Array, Array, Array, Array]:
+    """Where points (N, 3) go, (N, 3), and how what is around them turns and stretches.
+
+    weights (N, B) with rows that sum to 1, transforms (B, 4, 4), bends by bone. Gives turns (N, 4) and maps (N, 3, 3)
+    as `stretch.stretched_maps`, and which maps mirror, (N,) bool. float64.
+    """
+    weights, transforms = np.array(weights, dtype=np.float64), np.asarray(transforms, dtype=np.float64)
+    quats = polar(transforms[:, :3, :3])[0]
+    dominant = np.argmax(weights, axis=1)
+    leading = quats[dominant]
+    uneven = np.where(weights > 0, bone_unevenness(transforms), 0)
+    found = []
+    for bone, bend in bends.items():
+        rows = np.flatnonzero(weights[:, bone] > 0)
+        if len(rows):
+            part = bend.deform(points[rows])
+            found.append((rows, weights[rows, bone], *part))
+            leads = dominant[rows] == bone
+            leading[rows[leads]] = part[2][leads]
+            uneven[rows, bone] = part[3]
+    weights[:, list(bends)] = 0
+    blended = (weights @ transforms[:, :3, :].reshape(-1, 12)).reshape(-1, 3, 4)
+    maps = blended[:, :, :3].copy()
+    means = np.einsum("nij,nj->ni", maps, points) + blended[:, :, 3]
+    turn = (weights * np.where(leading @ quats.T < 0, -1.0, 1.0)) @ quats
+    moments = second_moments(weights, quats)
+    for rows, weight, moved, local, quat, _ in found:
+        means[rows] += weight[:, None] * moved
+        maps[rows] += weight[:, None, None] * local
+        sign = np.where(np.einsum("nk,nk->n", leading[rows], quat) < 0, -weight, weight)
+        turn[rows] += sign[:, None] * quat
+        moments[rows] += weight[:, None, None] * quat[:, :, None] * quat[:, None, :]
+    turn, stretched = stretched_maps(maps, normalize(turn), moments, uneven.max(axis=1))
+    return means, turn, stretched, np.linalg.det(maps) < 0
+
+
+def stretch_rows(
+    posed: SplatCloud,
+    rest: SplatCloud,
+    rows: Array,
+    turn: Array,
+    maps: Array,
+    mirrored: Array,
+    *,
+    rotate_sh: bool = True,
+) -> SplatCloud:
+    """The posed cloud with shapes and harmonics of the splats `rows` (K,) made anew from the cloud at rest.
+
+    turn (K, 4), maps (K, 3, 3) as `local_deform` gives them, mirrored (K,) bool: harmonics of odd degree change sign.
+    """
+    quats, scales, sh = posed.quats.copy(), posed.scales.copy(), posed.sh
+    quats[rows], scales[rows] = transform_gaussians(rest.quats[rows], rest.scales[rows], maps)
+    if rotate_sh and sh.shape[1] > 1:
+        sh = sh.copy()
+        degree = np.floor(np.sqrt(np.arange(sh.shape[1]))).astype(int)
+        sign = np.where(mirrored[:, None] & (degree % 2 == 1), -1, 1).astype(sh.dtype)
+        sh[rows] = rotate_coefficients(rest.sh[rows] * sign[:, :, None], quat_to_matrix(turn))
+    return dataclasses.replace(posed, quats=quats, scales=scales, sh=sh)
+
+
+def _skin_turned(cloud: SplatCloud, weights: Array, transforms: Array, rotate_sh: bool) -> SplatCloud:
     turn = skin_quats(weights, transforms)
     means = skin_points(cloud.means, weights, transforms).astype(np.float32)
     quats = normalize(quat_multiply(turn, cloud.quats)).astype(np.float32)

@@ -10,6 +10,7 @@ splat is far away. The second holds for captures with surroundings, too, which a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,8 @@ _CLEAR = 0.6
 """Part of the present misfit that may be left with another unit."""
 _ALONE = 0.85
 """Part of the next best unit's misfit that the best may have."""
+_FREE = 1.5
+"""Part of the misfit of bones that are just as large as the splats, whatever the factor."""
 _PER_BONE, _BONE_POINTS, _SPLAT_POINTS = 5, 300, 2500
 
 
@@ -72,7 +75,7 @@ class _Fit:
         return self.off + self.bare
 
 
-def guess_scale(points: NDArray[np.floating], skeleton: Skeleton, origin: NDArray[np.floating]) -> ScaleGuess:
+def guess_scale(points: NDArray[Any], skeleton: Skeleton, origin: NDArray[Any]) -> ScaleGuess:
     """Whether the bones are too small or too large for splats at `points` (N, 3); both in the world, metres.
 
     origin: (3,) of the armature object, about which it would be scaled.
@@ -100,8 +103,9 @@ def guess_scale(points: NDArray[np.floating], skeleton: Skeleton, origin: NDArra
     tried = [(fit(unit, pivot), unit, bool(k)) for k, pivot in enumerate(pivots) for unit in UNITS]
     best, unit, about_world = min(tried, key=lambda one: one[0].misfit)
     rival = min(one[0].misfit for one in tried if one[1] != unit)
+    free = min(fit(here.ratio, pivot).misfit for pivot in pivots)
     fits = 0.35 < best.ratio < 3.0 and best.off < _OFF
-    if fits and best.misfit < min(_CLEAR * here.misfit, _ALONE * rival):
+    if fits and best.misfit < min(_CLEAR * here.misfit, _ALONE * rival, _FREE * free):
         return ScaleGuess(unit, True, about_world)
     return ScaleGuess(here.ratio, False) if here.ratio > _SMALL or here.ratio < _LARGE else ScaleGuess()
 

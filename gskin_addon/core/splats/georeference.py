@@ -24,7 +24,7 @@ _COARSE = 0.2
 """From where on what the file has rounded is worth a word."""
 _SHARE = 0.01
 """Share of the splats that must be concerned: strays lie anywhere."""
-_SAMPLES = 100_000
+_SAMPLES = 20_000
 
 
 def recentre(cloud: SplatCloud, doubles: Sequence[NDArray[np.float64] | None], path: Path) -> SplatCloud:

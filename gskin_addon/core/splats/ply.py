@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Generator, Iterator
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..files import write_atomically
+from ..ticks import run_to_end
 from . import ply_codec as codec
 from .cloud import AnyArray, SplatCloud
 from .georeference import recentre
+from .loaded import LoadedSplats, Reading, finish, opened
 from .ply_compressed import is_compressed, read_compressed
 from .ply_header import FORMATS, TYPE_NAMES, Element, Header, format_header, read_header
 from .ply_kinds import notes_of
@@ -26,25 +28,13 @@ from .ply_kinds import notes_of
 _CHUNK = 8192
 """Rows handled at once: small enough that a piece of the file stays in the processor's cache."""
 
+_LINES = 1024
+"""Rows of text handled at once, which take fifty times as long."""
+
 _COMPLETE = "export it with all properties of 3D Gaussian splats"
-_INVALID = "NaN, infinite or zero-rotation values"
 
 
-@dataclass(frozen=True)
-class PlySplats:
-    """What was read: the cloud, the file row of each of its splats (N,), and the file's number of rows."""
-
-    cloud: SplatCloud
-    kept: NDArray[np.int64]
-    total: int
-
-    @property
-    def dropped(self) -> int:
-        """Number of the file's splats that were left out as invalid."""
-        return self.total - self.cloud.count
-
-
-def read_ply(path: str | os.PathLike[str], *, drop_invalid: bool = False) -> PlySplats:
+def read_ply(path: str | os.PathLike[str], *, drop_invalid: bool = False) -> LoadedSplats:
     """Read a Gaussian splat .ply file: INRIA layout (any property order, SH degree 0-4, ascii or binary), or
     the compressed layout of PlayCanvas and SuperSplat.
 
@@ -54,30 +44,19 @@ def read_ply(path: str | os.PathLike[str], *, drop_invalid: bool = False) -> Ply
     Raises InputError: no such file, not a PLY, no Gaussian splats in it, missing properties, cut off, no
     splats, invalid splats.
     """
-    path = Path(path)
-    try:
-        with path.open("rb") as file:
-            header = read_header(file, path)
-            if is_compressed(header):
-                cloud, valid = read_compressed(file, header, path)
-            else:
-                vertex, rest = _splat_element(header, path)
-                cloud, valid = _read_splats(file, header, vertex, rest, path)
-    except OSError as error:
-        raise InputError(f"'{path}' cannot be read ({error.strerror or error}); check the path.") from error
-    total = cloud.count
-    bad = total - int(np.count_nonzero(valid))
-    if bad == total:
-        raise InputError(f"'{path}': all {bad} splats have {_INVALID}; export it again.")
-    if bad and not drop_invalid:
-        raise InputError(
-            f"'{path}': {bad} of {total} splats have {_INVALID}; "
-            "read it with Drop Invalid Splats to leave them out.",
-            terminal="drop_invalid=True, --drop-invalid",
-        )
-    if bad:
-        return PlySplats(cloud.select(valid), np.flatnonzero(valid), total)
-    return PlySplats(cloud, np.arange(total), total)
+    return run_to_end(read_ply_pieces(Path(path), drop_invalid))
+
+
+def read_ply_pieces(path: Path, drop_invalid: bool) -> Reading:
+    """`read_ply` piece by piece."""
+    with opened(path) as (file, _):
+        header = read_header(file, path)
+        if is_compressed(header):
+            cloud, valid = yield from read_compressed(file, header, path)
+        else:
+            vertex, rest = _splat_element(header, path)
+            cloud, valid = yield from _read_splats(file, header, vertex, rest, path)
+    return (yield from finish(path, cloud, valid, drop_invalid))
 
 
 def write_ply(path: str | os.PathLike[str], cloud: SplatCloud, *, fmt: str = "binary_little_endian") -> None:
@@ -141,7 +120,7 @@ def _splat_element(header: Header, path: Path) -> tuple[Element, int]:
 
 def _read_splats(
     file: BinaryIO, header: Header, vertex: Element, rest: int, path: Path
-) -> tuple[SplatCloud, NDArray[np.bool_]]:
+) -> Generator[float, None, tuple[SplatCloud, NDArray[np.bool_]]]:
     """All splats with their raw and extra columns, and True (N,) where a splat is valid."""
     pieces = _ascii_pieces if header.format == "ascii" else _binary_pieces
     standard = {*codec.standard_names(rest), codec.FILTER} - set(codec.NORMALS)
@@ -168,6 +147,7 @@ def _read_splats(
             for name, column in table.items():
                 column[rows] = columns[name]
         start += len(piece)
+        yield start / vertex.count
         piece = next(source, None)
     cloud = replace(cloud, extra=extra, stored=stored, notes=notes_of(vertex.properties))
     doubles.update({name: stored[name] for name in codec.MEANS if name in stored})
@@ -200,7 +180,7 @@ def _binary_pieces(file: BinaryIO, header: Header, vertex: Element, path: Path) 
 
 
 def _ascii_pieces(file: BinaryIO, header: Header, vertex: Element, path: Path) -> Iterator[AnyArray]:
-    """The vertex rows of an ascii file as structured arrays of at most _CHUNK rows."""
+    """The vertex rows of an ascii file as structured arrays of at most _LINES rows."""
     size = os.fstat(file.fileno()).st_size - header.offset
     possible = size // (2 * len(vertex.properties)) + 1  # a value takes a digit and a separator
     if vertex.count > possible:
@@ -209,8 +189,8 @@ def _ascii_pieces(file: BinaryIO, header: Header, vertex: Element, path: Path) -
         pass
     codes = vertex.properties.items()
     dtype = np.dtype([(name, "f8" if name in codec.MEANS else code) for name, code in codes])
-    for start in range(0, vertex.count, _CHUNK):
-        wanted = min(_CHUNK, vertex.count - start)
+    for start in range(0, vertex.count, _LINES):
+        wanted = min(_LINES, vertex.count - start)
         lines = [line.decode("latin-1") for line in islice(file, wanted)]
         table = _parse_lines(lines, len(vertex.properties), start, path)
         if len(table) < wanted:

@@ -74,6 +74,20 @@ def test_a_guided_result_started_from_its_initial_weights(tmp_path):
     np.testing.assert_allclose(outcome.start.dense(limb.skeleton.count), plain, atol=1e-5)
 
 
+def test_pictures_are_there_while_it_runs(tmp_path):
+    """The newest guidance image from the first one on, the weights from the first iteration on."""
+    limb, seen = make_limb(500), {}
+
+    def watch(stage, *_):
+        seen[stage] = {path.name: path.stat().st_size for path in (tmp_path / "previews").glob("*.png")}
+
+    run(limb.cloud, limb.skeleton, ELASTIC, watch, tmp_path / "checkpoint")
+    assert not seen["initial"]
+    assert set(seen["guidance"]) == {"guidance.png"}
+    assert set(seen["optimise"]) == {"guidance.png", "weights.png"}
+    assert min(seen["optimise"].values()) > 500
+
+
 def test_stray_splats_start_from_where_the_body_does(tmp_path):
     limb = make_limb(700)
     means = limb.cloud.means.copy()

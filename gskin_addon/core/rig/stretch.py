@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How a blend of bone transforms that stretch, and not only turn, maps the space around each splat. numpy only.
+
+Rotations alone are blended by Eq. 3. Where a bone of a splat is scaled, sheared, mirrored or bent, the splat follows
+the local linear map of the deformation: turned by the map's own rotation, and stretched. What a linear blend of
+different rotations loses in size (the joint that collapses) is no stretch of anybody's and is given back.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .quaternion import matrix_to_quat, normalize, quat_to_matrix
+
+Array = NDArray[Any]
+
+RIGID = 1e-4
+"""Largest stretch (Frobenius norm of U - I) that still counts as a rotation."""
+PLAINLY = 1e-2
+"""Stretch from which on a splat turns by its map alone; between the two it goes over smoothly from Eq. 3."""
+COLLAPSED = 0.05
+"""Sum of the two smaller singular values, relative to the largest, below which a map has no rotation of its own."""
+
+
+def polar(maps: Array) -> tuple[Array, Array, Array]:
+    """A = p R U for maps A (..., 3, 3): R as unit quaternions (..., 4), U (..., 3, 3) symmetric, parity p (...) +-1.
+
+    A mirroring map is minus a rotation times a stretch: the sign changes no covariance, and bones that are all
+    mirrored blend as they would without. U has no negative eigenvalue.
+    """
+    maps = np.asarray(maps, dtype=np.float64)
+    parity = np.where(np.linalg.det(maps) < 0, -1.0, 1.0)
+    u, s, vt = np.linalg.svd(maps * parity[..., None, None])
+    # A map without volume may come with either orientation.
+    last = np.where(np.linalg.det(u @ vt) < 0, -1.0, 1.0)
+    u = u * np.stack([np.ones_like(last), np.ones_like(last), last], axis=-1)[..., None, :]
+    stretch = np.swapaxes(vt, -1, -2) @ (s[..., :, None] * vt)
+    return matrix_to_quat(u @ vt), stretch, parity
+
+
+def unevenness(stretch: Array) -> Array:
+    """How far maps are from rotations, (...): the Frobenius norm of U - I for stretches U (..., 3, 3)."""
+    return np.asarray(np.linalg.norm(np.asarray(stretch) - np.eye(3), axis=(-2, -1)))
+
+
+def second_moments(weights: Array, quats: Array) -> Array:
+    """sum_b w_b q_b q_b^T, (N, 4, 4), for weights (N, B) and unit quaternions (B, 4); signs do not matter."""
+    outer = quats[:, :, None] * quats[:, None, :]
+    return np.asarray((np.asarray(weights, np.float64) @ outer.reshape(len(quats), 16)).reshape(-1, 4, 4))
+
+
+def stretched_maps(maps: Array, turn: Array, moments: Array, uneven: Array) -> tuple[Array, Array]:
+    """What turns splats and what stretches them: unit quaternions R (N, 4) and maps M = R S (N, 3, 3).
+
+    maps (N, 3, 3): the blended local maps J. turn (N, 4): the blended rotation of Eq. 3. moments (N, 4, 4): of the
+    quaternions that were blended (`second_moments`). uneven (N,): how far the bones of each splat are from plain
+    rotations; 0 gives R = turn and, where J blends rotations, S = I.
+
+    R is the rotation of J, S = (R^T J)_sym + K, and K what blending the rotations Q_b lost: the sum of
+    w_b (I - (R^T Q_b)_sym).
+    """
+    maps = np.asarray(maps, dtype=np.float64)
+    maps = maps * np.where(np.linalg.det(maps) < 0, -1.0, 1.0)[:, None, None]
+    share: Array = np.clip((np.asarray(uneven) - RIGID) / (PLAINLY - RIGID), 0, 1)
+    share = share * share * (3 - 2 * share)
+    turn = np.asarray(turn, dtype=np.float64)
+    u, s, vt = np.linalg.svd(maps)
+    share = np.where(s[:, 1] + s[:, 2] > COLLAPSED * s[:, 0], share, 0)
+    u[:, :, 2] *= np.where(np.linalg.det(u @ vt) < 0, -1.0, 1.0)[:, None]
+    own = matrix_to_quat(u @ vt)
+    own = np.where(np.einsum("nk,nk->n", own, turn)[:, None] < 0, -own, own)
+    blended = normalize(turn + share[:, None] * (own - turn))
+    rotation = quat_to_matrix(blended)
+    stretch: Array = np.swapaxes(rotation, 1, 2) @ maps
+    stretch = (stretch + np.swapaxes(stretch, 1, 2)) / 2 + _lost(blended, moments)
+    return blended, rotation @ stretch
+
+
+def _lost(turn: Array, moments: Array) -> Array:
+    """K (N, 3, 3) = sum_b w_b (I - (R^T Q_b)_sym) = 2 (tr V I - V), V = sum_b w_b v_b v_b^T, v_b the vector part of
+    conj(turn) q_b."""
+    w, x, y, z = np.moveaxis(turn, -1, 0)
+    part = np.stack([np.stack([-x, w, z, -y], -1), np.stack([-y, -z, w, x], -1), np.stack([-z, y, -x, w], -1)], -2)
+    v = part @ moments @ np.swapaxes(part, 1, 2)
+    return np.asarray(2 * (np.trace(v, axis1=1, axis2=2)[:, None, None] * np.eye(3) - v))

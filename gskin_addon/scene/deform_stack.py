@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What moves the splats of an object: its modifiers, and what they do around each splat, by finite differences.
+
+Linear blend skinning by vertex groups, bendy bones among them, has formulas (`core.rig.lbs`). Whatever else a stack of
+modifiers can do (envelopes, Preserve Volume, masks, a second armature, lattices) is asked of Blender itself: a copy of
+the splats is displaced and evaluated again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import InputError
+from . import names
+from .attributes import ObjectData, read_positions, write_positions
+
+Array = NDArray[Any]
+
+STEP = 1e-3
+"""Displacement of finite differences, as a part of the splats' extent: 32-bit coordinates leave 1e-4 of the map."""
+
+_OURS = (names.ROTATION_MODIFIER, names.DISPLAY_MODIFIER, names.ANCHOR_MODIFIER)
+
+
+def deforming_modifiers(obj: bpy.types.Object) -> list[Any]:
+    """The object's modifiers, switched on in the viewport, that move the points before they are drawn."""
+    drawn = next((m for m in obj.modifiers if _is_ours(m, (names.DISPLAY_MODIFIER,))), None)
+    before = obj.modifiers if drawn is None else obj.modifiers[: obj.modifiers.find(drawn.name)]
+    return [modifier for modifier in before if modifier.show_viewport and not _is_ours(modifier)]
+
+
+def beyond_linear_blending(obj: bpy.types.Object) -> list[str]:
+    """Why the splats are not moved by plain linear blend skinning with their vertex groups: reasons, none if they are.
+
+    Bendy, scaled and mirrored bones are no reason.
+    """
+    found = []
+    stack = deforming_modifiers(obj)
+    for modifier in stack:
+        if modifier.type != "ARMATURE":
+            found.append(f"modifier '{modifier.name}' deforms them too")
+            continue
+        if modifier.object is None:
+            continue
+        if modifier.use_deform_preserve_volume:
+            found.append(f"'{modifier.name}' preserves volume")
+        if modifier.use_bone_envelopes:
+            found.append(f"'{modifier.name}' uses bone envelopes")
+        if not modifier.use_vertex_groups:
+            found.append(f"'{modifier.name}' does not use vertex groups")
+        if modifier.vertex_group and modifier.vertex_group in obj.vertex_groups:
+            found.append(f"'{modifier.name}' is masked by vertex group '{modifier.vertex_group}'")
+        groups = {group.name for group in obj.vertex_groups}
+        for bone in modifier.object.data.bones:
+            if bone.use_deform and bone.name in groups:
+                if bone.use_envelope_multiply:
+                    found.append(f"bone '{bone.name}' multiplies its weights by its envelope")
+                if bone.bbone_segments > 1 and getattr(bone, "bbone_mapping_mode", "STRAIGHT") != "STRAIGHT":
+                    found.append(f"bone '{bone.name}' has curved segments")
+    if sum(modifier.type == "ARMATURE" and modifier.object is not None for modifier in stack) > 1:
+        found.append("more than one armature moves them")
+    return found
+
+
+def measured_deform(obj: bpy.types.Object) -> tuple[Array, Array]:
+    """Where the modifiers put the splats, (N, 3), and the linear map around each, (N, 3, 3), in the object's space.
+
+    By central differences: seven evaluations. Raises InputError where a modifier changes the number of points.
+    """
+    points = read_positions(obj.data).astype(np.float64)
+    step = STEP * float(np.ptp(points, axis=0).max()) or STEP
+    maps = np.empty((len(points), 3, 3))
+    with _deformed_copy(obj) as copy:
+        moved = _evaluated(copy, points)
+        for axis, offset in enumerate(np.eye(3) * step):
+            # The differences of what 32 bits make of the displaced points.
+            ends = [(points + sign * offset).astype(np.float32) for sign in (1, -1)]
+            width = (ends[0].astype(np.float64) - ends[1])[:, axis]
+            maps[:, :, axis] = (_evaluated(copy, ends[0]) - _evaluated(copy, ends[1])) / width[:, None]
+    return moved, maps
+
+
+def _is_ours(modifier: Any, groups: tuple[str, ...] = _OURS) -> bool:
+    group = modifier.node_group if modifier.type == "NODES" else None
+    return group is not None and group.get("gskin_group") in groups
+
+
+@contextmanager
+def _deformed_copy(obj: bpy.types.Object) -> Iterator[Any]:
+    """A copy of the object in the scene, with a mesh of its own and with the modifiers that deform it."""
+    copy: Any = obj.copy()
+    data: ObjectData = obj.data
+    copy.data = mesh = data.copy()
+    kept = {modifier.name for modifier in deforming_modifiers(obj)}
+    try:
+        # Handlers take it for no splats.
+        for mark in (names.MARK, names.PLACES):
+            if mark in mesh:
+                del mesh[mark]
+        for modifier in [modifier for modifier in copy.modifiers if modifier.name not in kept]:
+            copy.modifiers.remove(modifier)
+        copy.hide_viewport = False
+        bpy.context.scene.collection.objects.link(copy)
+        yield copy
+    finally:
+        bpy.data.objects.remove(copy)
+        bpy.data.meshes.remove(mesh)
+
+
+def _evaluated(copy: Any, points: Array) -> Array:
+    write_positions(copy.data, points)
+    copy.update_tag()
+    bpy.context.view_layer.update()
+    found = read_positions(copy.evaluated_get(bpy.context.evaluated_depsgraph_get()).data)
+    if len(found) != len(points):
+        raise InputError(
+            f"'{copy.name}' has {len(points)} splats, and its modifiers make {len(found)} points of them; "
+            "remove the modifier that does."
+        )
+    return found.astype(np.float64)
