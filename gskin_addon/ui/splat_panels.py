@@ -15,6 +15,7 @@ from ..scene.node_builder import has_input, input_property
 from ..scene.node_groups import BY_SHADER, DISPLAY_INPUTS, find_display
 from ..scene.viewport import switch
 from ..session.chosen import chosen_splats
+from ..session.running_job import state
 from .translations import BUTTON, tr
 
 _EDITS = (
@@ -88,6 +89,7 @@ class GSKIN_PT_weights(_Child, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         column = self.layout.column()
+        column.enabled = state.job is None  # it would be about splats and weights that are no more
         row = column.row(align=True)
         row.operator("gskin.load_weights", text="Load...", icon="FILE_FOLDER")
         row.operator("gskin.save_weights", text="Save...", icon="FILE_TICK")
@@ -137,6 +139,7 @@ class GSKIN_PT_hygiene(_Child, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         column = self.layout.column()
+        column.enabled = state.job is None  # it would be about splats and weights that are no more
         column.operator("gskin.select_bad_splats", icon="RESTRICT_SELECT_OFF")
         column.operator("gskin.clean_splats", icon="BRUSH_DATA")
 
