@@ -43,6 +43,7 @@ from .operators import (
     separate_parts,
     sharpen_weights,
     smooth_weights,
+    standard_view,
 )
 from .scene import fabric_view, follow_display, follow_transforms, handlers, helpers, webp_images
 from .scene.viewport import following as viewport_following
@@ -77,6 +78,7 @@ MODULES = (
     check_again,
     cleanup,
     renew_display,
+    standard_view,
     bind,
     save_weights,
     export_glb,

@@ -13,6 +13,8 @@ from ..core.errors import InputError
 from ..core.job.checks import APART, SOUND, better_axis, check_overlap, overlap
 from ..core.rig.skeleton import Skeleton
 from ..scene.follow_transforms import warning_of
+from ..scene.native_nodes import POSITION_STEPS
+from ..scene.node_groups import draws_native
 from ..scene.placement import is_placed, shift_of, up_of
 from ..scene.proxy_object import followed_armature
 from ..scene.rig_fit import SplatSample, rest_skeleton, sample_splats, scale_to_fit, to_world
@@ -30,6 +32,8 @@ STRAYS = 0.002
 """Share of stray splats that is worth a word."""
 SIZES = (0.3, 2.5)
 """By how much a rig may have to be scaled before its size is doubted: it may lack a tail, or have bones for props."""
+COARSE = 0.5
+"""Steps of drawn positions, in standard deviations of a splat, from which a picture shows them."""
 ABSURD = (0.2, 20.0)
 """Where its size is certainly wrong: another unit. A small rig may also stand in a large captured scene."""
 
@@ -212,6 +216,13 @@ def _look(
     # A rig of a wrong size lies elsewhere, too: the place is looked at when the size will do.
     if found[0].state != "stop":
         found.append(_place_check(splats, armature, points, skeleton, bound))
+    step = sample.reach / POSITION_STEPS
+    if sample.size > 0 and step > COARSE * sample.size and draws_native(splats):
+        sentence = (
+            f"A few splats lie so far off that Blender draws all others in steps of {step:.2g} (it divides the whole "
+            "extent evenly), coarser than the splats: put the far ones aside"
+        )
+        found.append(Check("Far Splats", "warn", sentence, "gskin.clean_splats", "Put Them Aside"))
     if sample.strays >= STRAYS:
         sentence = "Some splats lie off the body, and would follow bones that they have nothing to do with"
         found.append(Check("Strays", "warn", sentence, "gskin.clean_splats", "Put Them Aside"))
