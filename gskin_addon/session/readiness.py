@@ -14,6 +14,8 @@ from ..core.job.checks import APART, SOUND, better_axis, check_overlap, overlap
 from ..core.rig.rig_scale import ABSURD
 from ..core.rig.skeleton import Skeleton
 from ..scene.follow_transforms import warning_of
+from ..scene.native_nodes import POSITION_STEPS
+from ..scene.node_groups import draws_native
 from ..scene.placement import is_placed, shift_of, up_of
 from ..scene.proxy_object import followed_armature
 from ..scene.rig_fit import SplatSample, guess_rig_scale, rest_skeleton, sample_splats, to_world
@@ -29,6 +31,8 @@ State = Literal["ok", "warn", "stop"]
 
 STRAYS = 0.002
 """Share of stray splats that is worth a word."""
+COARSE = 0.5
+"""Steps of drawn positions, in standard deviations of a splat, from which a picture shows them."""
 
 @dataclass(frozen=True)
 class Check:
@@ -208,6 +212,13 @@ def _look(
     # A rig of a wrong size lies elsewhere, too: the place is looked at when the size will do.
     if found[0].state != "stop":
         found.append(_place_check(splats, armature, points, skeleton, bound))
+    step = sample.reach / POSITION_STEPS
+    if sample.size > 0 and step > COARSE * sample.size and draws_native(splats):
+        sentence = (
+            f"A few splats lie so far off that Blender draws all others in steps of {step:.2g} (it divides the whole "
+            "extent evenly), coarser than the splats: put the far ones aside"
+        )
+        found.append(Check("Far Splats", "warn", sentence, "gskin.clean_splats", "Put Them Aside"))
     if sample.strays >= STRAYS:
         sentence = "Some splats lie off the body, and would follow bones that they have nothing to do with"
         found.append(Check("Strays", "warn", sentence, "gskin.clean_splats", "Put Them Aside"))

@@ -13,6 +13,7 @@ from ..scene.display_colors import SHOW_CONFIDENCE, SHOW_WEIGHTS_OF
 from ..scene.fabric import has_fabric
 from ..scene.node_builder import has_input, input_property
 from ..scene.node_groups import BY_SHADER, DISPLAY_INPUTS, find_display
+from ..scene.render import changes_colors
 from ..scene.viewport import switch
 from ..session.chosen import chosen_splats
 from ..session.running_job import state
@@ -50,6 +51,8 @@ class GSKIN_PT_display(_Child, bpy.types.Panel):
         column.use_property_split = True
         column.use_property_decorate = False
         _draw_true_splats(context, splats, column)
+        if changes_colors(context.scene):
+            column.operator("gskin.standard_view", icon="COLOR")
         for name in DISPLAY_INPUTS:
             if not has_input(modifier, name):
                 continue
