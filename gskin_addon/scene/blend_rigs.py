@@ -146,6 +146,10 @@ def _armature_in(
     direct = placed or ([] if places else loose)
     if direct:
         return choose(list(dict.fromkeys(direct))), None
+    missing = [library.filepath for library in bpy.data.libraries if library.is_missing] if not places else []
+    if missing:
+        files = ", ".join(f"'{name}'" for name in missing)
+        raise InputError(f"'{path}' has no armature of its own, and what it links is missing: {files}; put it back.")
     armature = choose(list(places))
     if len(places[armature]) > 1:
         names = ", ".join(f"'{obj.name}'" for obj in places[armature])

@@ -147,14 +147,19 @@ def driven(splats, armature):
 def test_a_turn_that_cannot_arrive_is_refused_with_what_to_move(change, tmp_path, capfd):
     source = fig.rigged(tmp_path / "in.blend", change)
     before = source.read_bytes()
-    for kind in ("ply", "blend", "glb"):
+    for kind in ("ply", "blend"):
         assert fig.run("pose", source, "--out", tmp_path / f"out.{kind}", *fig.TURN) == 2
         assert not (tmp_path / f"out.{kind}").exists()
         error = capfd.readouterr().err
         assert "'arm.L' of 'Rig' cannot be turned" in error
         assert "'target'" in error
-    assert fig.run("render", source, "--out", tmp_path / "out.png", *fig.TURN) == 2
     assert source.read_bytes() == before
+
+
+def test_pictures_and_glb_are_refused_too(tmp_path):
+    source = fig.rigged(tmp_path / "in.blend", held_by_constraint)
+    assert fig.run("render", source, "--out", tmp_path / "out.png", *fig.TURN) == 2
+    assert fig.run("pose", source, "--out", tmp_path / "out.glb", *fig.TURN) == 2
 
 
 def test_a_turn_that_arrives_in_part_says_so(tmp_path, capfd):
