@@ -75,6 +75,17 @@ def keep_only(needed: list[bpy.types.Object], added: Iterable[bpy.types.Object])
     bpy.context.view_layer.update()
 
 
+def own_rig(armature: bpy.types.Object) -> bpy.types.Object:
+    """`make_local` for an armature of the scene; what is new is linked to the scene."""
+    armature = make_local(armature)
+    present = set(bpy.context.scene.objects)
+    for obj in needed_objects(armature):
+        if obj not in present:
+            bpy.context.scene.collection.objects.link(obj)
+    bpy.context.view_layer.update()
+    return armature
+
+
 def make_local(armature: bpy.types.Object) -> bpy.types.Object:
     """Make an armature and all that moves it the file's own, no matter whether it was linked or overridden.
 

@@ -237,10 +237,7 @@ def test_the_target_moves_the_splats_in_every_output(tmp_path, rig, capfd):
         bpy.context.scene.frame_set(frame)
         ends.append(tails()["hand.L"])
     glb = Glb(rig(path, "out.glb"))
-    (clip,) = glb.json["animations"]
-    hand = glb.node("hand.L")
-    moved = [np.array(glb.world(time)[hand][:3, 3]) for time in (1 / 24, 20 / 24)]
-    assert np.linalg.norm(moved[1] - moved[0]) > 0.05, clip
+    assert fig.turns_in_clip(glb, "arm.L") > 0.05
     assert np.linalg.norm(np.subtract(*ends)) > 0.1
 
 
