@@ -70,6 +70,11 @@ def is_bone_frames(obj: bpy.types.Object | None) -> bool:
     return obj is not None and obj.type == "MESH" and obj.get(names.FRAMES_MARK) is not None
 
 
+def has_joints(frames: bpy.types.Object) -> bool:
+    """Whether some of the helper's frames are joints of bendy bones."""
+    return len(frames.data.vertices) > 4 * len(frames.vertex_groups)
+
+
 def bone_order(frames: bpy.types.Object) -> list[str]:
     """Bone names by index. They are the helper's vertex groups, which Blender renames along with the bones."""
     return [group.name for group in frames.vertex_groups]

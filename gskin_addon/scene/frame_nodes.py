@@ -3,18 +3,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from ..core.rig.stretch import RIGID
 from . import names
 from .node_algebra import parts, polar_rotation, vector
-from .node_builder import Tree, function_group
+from .node_builder import Input, Tree, function_group
 
 VERSION = 1
 """Of the node groups."""
 
-Input = Callable[[str], Any]
 
 
 def bone_points(tree: Tree, info: Any) -> Any:
@@ -71,8 +69,6 @@ def _bone_points(tree: Tree, given: Input) -> dict[str, Any]:
     x, z = (tree.scale(axes[k], per_unit) for k in (0, 2))
     y = choose(tree, joint, tree.scale(axes[1], per_unit), tree.vector("NORMALIZE", along))
     mirrored = tree.math("LESS_THAN", tree.vector("DOT_PRODUCT", tree.vector("CROSS_PRODUCT", x, y), z), 0.0)
-    sign = tree.math("MULTIPLY_ADD", mirrored, -2.0, 1.0)
-
     following = [sampled(position, 4.0 + k) for k in range(4)]
     ahead = [tree.scale(tree.vector("SUBTRACT", following[k], following[0]), inverse_size) for k in (1, 3)]
     inputs = {"X": x, "Y": y, "Z": z, "Kind": kind, "Mirrored": mirrored}
@@ -83,18 +79,14 @@ def _bone_points(tree: Tree, given: Input) -> dict[str, Any]:
     group = function_group("GSkin Unevenness", VERSION, kinds, {"Stretch": "Vector"}, _unevenness)
     stretch = tree.call(group, inputs)["Stretch"]
     rigid = tree.math("SUBTRACT", 1.0, joint)
-    stretched = tree.math("GREATER_THAN", parts(tree, stretch)[0], RIGID)
-    turned = polar_rotation(tree, [tree.scale(axis, sign) for axis in (x, y, z)])
     # Joints have no y of their own, and plain bones keep what they always had.
-    own = tree.math("MULTIPLY", stretched, rigid)
-    primary = choose(tree, own, tree.scale(away[2], sign), turned[2])
-    secondary = choose(tree, own, tree.scale(away[0], sign), turned[0])
-    inputs = {"Primary Axis": primary, "Secondary Axis": secondary}
-    turn = tree.out("FunctionNodeAxesToRotation", "Rotation", inputs, primary_axis="Z", secondary_axis="X")
-    for other in (frame_axes, rest):
-        back = tree.out("FunctionNodeInvertRotation", "Rotation", {"Rotation": other})
-        inputs = {"Rotation": turn, "Rotate By": back}
-        turn = tree.out("FunctionNodeRotateRotation", "Rotation", inputs, rotation_space="LOCAL")
+    stretched = tree.math("GREATER_THAN", parts(tree, stretch)[0], RIGID)
+    inputs = {"X": x, "Y": y, "Z": z, "X Away": away[0], "Z Away": away[2], "Axes": frame_axes, "Rest": rest}
+    inputs |= {"Mirrored": mirrored, "Own": tree.math("MULTIPLY", stretched, rigid)}
+    kinds = dict.fromkeys(inputs, "Vector") | dict.fromkeys(("Axes", "Rest"), "Rotation")
+    kinds |= dict.fromkeys(("Mirrored", "Own"), "Float")
+    group = function_group("GSkin Bone Turn", VERSION, kinds, {"Turn": "Rotation"}, _bone_turn)
+    turn = tree.call(group, inputs)["Turn"]
 
     second = choose(tree, joint, axes[1], corners[2])
     matrix = matrix_of(tree, [axes[0], second, axes[2], origin])
@@ -107,6 +99,23 @@ def _bone_points(tree: Tree, given: Input) -> dict[str, Any]:
     ):
         points = tree.store(points, name, data, value)
     return {"Points": points}
+
+
+def _bone_turn(tree: Tree, given: Input) -> dict[str, Any]:
+    """The bone's rotation in the splat object's space: of its axes as they are, or of their polar decomposition."""
+    sign = tree.math("MULTIPLY_ADD", given("Mirrored"), -2.0, 1.0)
+    polar = polar_rotation(tree, [tree.scale(given(axis), sign) for axis in "XYZ"])
+    axes = {
+        name: choose(tree, given("Own"), tree.scale(given(f"{axis} Away"), sign), own)
+        for name, axis, own in (("Primary Axis", "Z", polar[2]), ("Secondary Axis", "X", polar[0]))
+    }
+    turn = tree.out("FunctionNodeAxesToRotation", "Rotation", axes, primary_axis="Z", secondary_axis="X")
+    # The frame's axes and the way between the two objects are taken off on the right.
+    for other in ("Axes", "Rest"):
+        back = tree.out("FunctionNodeInvertRotation", "Rotation", {"Rotation": given(other)})
+        inputs = {"Rotation": turn, "Rotate By": back}
+        turn = tree.out("FunctionNodeRotateRotation", "Rotation", inputs, rotation_space="LOCAL")
+    return {"Turn": turn}
 
 
 def _unevenness(tree: Tree, given: Input) -> dict[str, Any]:

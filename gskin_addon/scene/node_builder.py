@@ -10,6 +10,8 @@ import bpy
 
 Value = Any
 """An output socket, or a constant for the input it goes to."""
+Input = Callable[[str], Value]
+"""Inside a node group: its input of a label."""
 
 
 class Tree:
@@ -125,7 +127,7 @@ def function_group(
     version: int,
     inputs: Mapping[str, str],
     outputs: Mapping[str, str],
-    build: Callable[[Tree, Callable[[str], Value]], Mapping[str, Value]],
+    build: Callable[[Tree, Input], Mapping[str, Value]],
 ) -> bpy.types.NodeTree:
     """The node group of this name and version, for use inside others; built where there is none.
 

@@ -15,20 +15,25 @@ import bpy
 
 from ..core.rig.stretch import RIGID
 from . import names
+from .bone_frames import has_joints
 from .frame_nodes import bone_points, choose, largest
 from .node_algebra import parts
-from .node_builder import Tree, add_modifier, find_group, function_group, geometry_group, get_input, set_input
-from .stretch_nodes import Input, influences, stretched_splats
+from .node_builder import Input, Tree, add_modifier, find_group, function_group, geometry_group, get_input, set_input
+from .stretch_nodes import influences, stretched_splats
 
-VERSION = 3
+VERSIONS = {False: 3, True: 4}
+"""Of the group, without and with what bendy bones need: it takes a third of a second to build."""
+GROUPS = 1
+"""Version of the groups inside."""
 FRAMES_INPUT = "Bone Frames"
 
 
-def rotation_group() -> bpy.types.NodeTree:
-    """The shared node group "GSkin Rotation"; built once per file."""
-    group, new = geometry_group(names.ROTATION_MODIFIER, VERSION, [(FRAMES_INPUT, "NodeSocketObject", {})])
+def rotation_group(*, bendy: bool = False) -> bpy.types.NodeTree:
+    """The shared node group "GSkin Rotation", with `bendy` for bones with segments; built once per file."""
+    inputs: list[Any] = [(FRAMES_INPUT, "NodeSocketObject", {})]
+    group, new = geometry_group(names.ROTATION_MODIFIER, VERSIONS[bendy], inputs)
     if new:
-        _build(group)
+        _build(group, bendy)
     return group
 
 
@@ -48,30 +53,28 @@ def add_rotation(obj: bpy.types.Object, frames: bpy.types.Object, after: bpy.typ
     modifier = find_rotation(obj)
     if modifier is None:
         modifier = add_modifier(obj, names.ROTATION_MODIFIER)
-    modifier.node_group = rotation_group()
+    modifier.node_group = rotation_group(bendy=has_joints(frames))
     set_input(modifier, FRAMES_INPUT, frames)
     here, there = obj.modifiers.find(modifier.name), obj.modifiers.find(after.name)
     obj.modifiers.move(here, there + 1 if here > there else there)
 
 
-def _build(group: bpy.types.NodeTree) -> None:
+def _build(group: bpy.types.NodeTree, bendy: bool) -> None:
     tree = Tree(group)
     source = tree.node("NodeGroupInput")
     geometry, frames = tree.output(source, "Geometry"), tree.output(source, FRAMES_INPUT)
     info = tree.node("GeometryNodeObjectInfo", {"Object": frames}, transform_space="RELATIVE")
     bones = bone_points(tree, info)
-    segments = parts(tree, tree.attribute(names.FRAME_BEND, "FLOAT_VECTOR"))[1]
-    bendy = tree.math("GREATER_THAN", largest(tree, bones, segments), 0.5)
     stretch = parts(tree, tree.attribute(names.FRAME_STRETCH, "FLOAT_VECTOR"))[0]
     uneven = tree.math("GREATER_THAN", largest(tree, bones, stretch), RIGID)
     kinds = {"Geometry": "Geometry", "Bones": "Geometry"}
     made = []
-    for name, build in (("GSkin Bendy", _bendy), ("GSkin Stretched", _plain), ("GSkin Turned", _turned)):
-        group_of = function_group(name, VERSION, kinds, {"Geometry": "Geometry"}, build)
+    odd = ("GSkin Bendy", _bendy) if bendy else ("GSkin Stretched", _plain)
+    for name, build in (("GSkin Turned", _turned), odd):
+        group_of = function_group(name, GROUPS, kinds, {"Geometry": "Geometry"}, build)
         made.append(tree.call(group_of, {"Geometry": geometry, "Bones": bones})["Geometry"])
-    # The conditions are single values: what is not asked for is not computed.
-    result = choose(tree, bendy, made[1], made[0], "GEOMETRY")
-    tree.node("NodeGroupOutput", {"Geometry": choose(tree, uneven, made[2], result, "GEOMETRY")})
+    # The condition is a single value: what is not asked for is not computed.
+    tree.node("NodeGroupOutput", {"Geometry": choose(tree, uneven, made[0], made[1], "GEOMETRY")})
 
 
 def _turned(tree: Tree, given: Input) -> dict[str, Any]:
@@ -119,7 +122,7 @@ def _blended(tree: Tree, found: list[tuple[Any, Any]]) -> Any:
         pairs = [(given(f"Weight {slot}"), given(f"Turn {slot}")) for slot in range(len(found))]
         return {"Rotation": _blend(tree, pairs)}
 
-    group = function_group("GSkin Blend", VERSION, kinds, {"Rotation": "Rotation"}, build)
+    group = function_group("GSkin Blend", GROUPS, kinds, {"Rotation": "Rotation"}, build)
     return tree.call(group, inputs)["Rotation"]
 
 

@@ -8,14 +8,13 @@ of whose bones are plain rotations get Eq. 3 as ever.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from typing import Any
 
 from ..core.rig.stretch import PLAINLY, RIGID
 from . import names
 from .frame_nodes import choose, direction, matrix_of
 from .node_algebra import Columns, combine, jacobi, parts, vector
-from .node_builder import Tree, function_group
+from .node_builder import Input, Tree, function_group
 
 VERSION = 1
 """Of the node groups."""
@@ -29,8 +28,6 @@ COLLAPSED = 1e-3
 
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
-
-Input = Callable[[str], Any]
 
 _COLUMNS = ("Column 1", "Column 2", "Column 3")
 
@@ -174,15 +171,9 @@ def _bendy(tree: Tree, given: Input) -> dict[str, Any]:
         column = combine(tree, [x, y, z], parts(tree, direction(tree, axis, inverse)))
         columns.append(choose(tree, held, axis, column))
 
-    turns = [_quaternion(tree, _sampled(tree, bones, names.TURN, "QUATERNION", index)) for index in (low, high)]
-    (w0, v0), (w1, v1) = turns
-    agree = tree.math("MULTIPLY_ADD", w0, w1, tree.vector("DOT_PRODUCT", v0, v1))
-    other = tree.math("MULTIPLY", share, tree.math("MULTIPLY_ADD", tree.math("LESS_THAN", agree, 0.0), -2.0, 1.0))
-    rest = tree.math("SUBTRACT", 1.0, share)
-    w = tree.math("MULTIPLY_ADD", w0, rest, tree.math("MULTIPLY", w1, other))
-    v = tree.vector("ADD", tree.scale(v0, rest), tree.scale(v1, other))
-    between = _rotation(tree, w, v)
-    alone = _sampled(tree, bones, names.TURN, "QUATERNION", low)
+    turns = [_sampled(tree, bones, names.TURN, "QUATERNION", index) for index in (low, high)]
+    between = _between(tree, turns[0], turns[1], share)
+    alone = turns[0]
     turn = choose(tree, inside, alone, between, "ROTATION")
     stretch = choose(tree, held, AXES[2], _sampled(tree, bones, names.FRAME_STRETCH, "FLOAT_VECTOR", low))
     return {"Turn": turn, "Stretch": stretch, **dict(zip(_COLUMNS, columns, strict=True))}
@@ -203,19 +194,11 @@ def _shape(tree: Tree, given: Input) -> dict[str, Any]:
     share = tree.math("MINIMUM", tree.math("MAXIMUM", share, 0.0), 1.0)
     smooth = tree.math("MULTIPLY_ADD", share, -2.0, 3.0)
     share = tree.math("MULTIPLY", tree.math("MULTIPLY", share, share), tree.math("MULTIPLY", smooth, sound))
-    (w0, v0), (w1, v1) = _quaternion(tree, blended), _quaternion(tree, own)
-    agree = tree.math("MULTIPLY_ADD", w0, w1, tree.vector("DOT_PRODUCT", v0, v1))
-    other = tree.math("MULTIPLY", share, tree.math("MULTIPLY_ADD", tree.math("LESS_THAN", agree, 0.0), -2.0, 1.0))
-    rest = tree.math("SUBTRACT", 1.0, share)
-    w = tree.math("MULTIPLY_ADD", w0, rest, tree.math("MULTIPLY", w1, other))
-    v = tree.vector("ADD", tree.scale(v0, rest), tree.scale(v1, other))
-    turn = _rotation(tree, w, v)
-
-    axes = [_turned(tree, axis, turn) for axis in AXES]
-    product = [[tree.vector("DOT_PRODUCT", axis, column) for axis in axes] for column in columns]
-    stretch = _symmetric(tree, product)
-    stretch = [tree.vector("ADD", a, b) for a, b in zip(stretch, _lost(tree, given("Spins"), turn), strict=True)]
-    maps = [combine(tree, axes, parts(tree, column)) for column in stretch]
+    turn = _between(tree, blended, own, share)
+    kinds = {**dict.fromkeys(_COLUMNS, "Vector"), "Turn": "Rotation", "Spins": "Matrix"}
+    group = function_group("GSkin Local Map", VERSION, kinds, dict.fromkeys(_COLUMNS, "Vector"), _local_map)
+    inputs = {**dict(zip(_COLUMNS, columns, strict=True)), "Turn": turn, "Spins": given("Spins")}
+    maps = [*tree.call(group, inputs).values()]
     sizes = parts(tree, tree.attribute(names.SCALE, "FLOAT_VECTOR"))
     longest = tree.math("MAXIMUM", tree.math("MAXIMUM", sizes[0], sizes[1]), sizes[2])
     old = tree.attribute(names.ROTATION, "QUATERNION")
@@ -226,19 +209,40 @@ def _shape(tree: Tree, given: Input) -> dict[str, Any]:
         shape.append(tree.scale(moved, relative))
     for _ in range(SWEEPS):
         for p, q in ((0, 1), (0, 2), (1, 2)):
-            made = tree.call(_jacobi_group(), {"A": shape[p], "B": shape[q]})
-            shape[p], shape[q] = made["A"], made["B"]
+            shape[p], shape[q] = jacobi(tree, shape[p], shape[q])
     shape = [tree.scale(column, longest) for column in shape]
     w, v = _quaternion(tree, turn)
     return {"Shape": matrix_of(tree, [*shape, (0.0, 0.0, 0.0)], [w, *parts(tree, v)])}
 
 
-def _jacobi_group() -> Any:
-    def build(tree: Tree, given: Input) -> dict[str, Any]:
-        return dict(zip("AB", jacobi(tree, given("A"), given("B")), strict=True))
+def _local_map(tree: Tree, given: Input) -> dict[str, Any]:
+    """Columns of M = R ((R^T J)_sym + K), R the turn."""
+    axes = [_turned(tree, axis, given("Turn")) for axis in AXES]
+    product = [[tree.vector("DOT_PRODUCT", axis, given(label)) for axis in axes] for label in _COLUMNS]
+    stretch = zip(_symmetric(tree, product), _lost(tree, given("Spins"), given("Turn")), strict=True)
+    maps = [combine(tree, axes, parts(tree, tree.vector("ADD", *pair))) for pair in stretch]
+    return dict(zip(_COLUMNS, maps, strict=True))
 
-    pair = dict.fromkeys("AB", "Vector")
-    return function_group("GSkin Jacobi", VERSION, pair, pair, build)
+
+def _between(tree: Tree, a: Any, b: Any, share: Any) -> Any:
+    """The rotation of (1 - share) a + share b, as unit quaternions of the same sign."""
+
+    def build(tree: Tree, given: Input) -> dict[str, Any]:
+        (w0, v0), (w1, v1) = (_quaternion(tree, given(label)) for label in "AB")
+        share = given("Share")
+        agree = tree.math("MULTIPLY_ADD", w0, w1, tree.vector("DOT_PRODUCT", v0, v1))
+        sign = tree.math("MULTIPLY_ADD", tree.math("LESS_THAN", agree, 0.0), -2.0, 1.0)
+        other, rest = tree.math("MULTIPLY", share, sign), tree.math("SUBTRACT", 1.0, share)
+        w = tree.math("MULTIPLY_ADD", w0, rest, tree.math("MULTIPLY", w1, other))
+        v = tree.vector("ADD", tree.scale(v0, rest), tree.scale(v1, other))
+        length = tree.math("SQRT", tree.math("MULTIPLY_ADD", w, w, tree.vector("DOT_PRODUCT", v, v)))
+        values = [tree.math("DIVIDE", value, length) for value in (w, *parts(tree, v))]
+        inputs = dict(zip("WXYZ", values, strict=True))
+        return {"Rotation": tree.out("FunctionNodeQuaternionToRotation", "Rotation", inputs)}
+
+    kinds = {"A": "Rotation", "B": "Rotation", "Share": "Float"}
+    group = function_group("GSkin Rotation Between", VERSION, kinds, {"Rotation": "Rotation"}, build)
+    return tree.call(group, {"A": a, "B": b, "Share": share})["Rotation"]
 
 
 def _newton(tree: Tree, columns: Columns, start: Any) -> tuple[Any, Any]:
@@ -321,10 +325,3 @@ def _turned(tree: Tree, axis: Any, rotation: Any) -> Any:
 def _quaternion(tree: Tree, rotation: Any) -> tuple[Any, Any]:
     node = tree.node("FunctionNodeRotationToQuaternion", {"Rotation": rotation})
     return tree.output(node, "W"), vector(tree, [tree.output(node, axis) for axis in "XYZ"])
-
-
-def _rotation(tree: Tree, w: Any, v: Any) -> Any:
-    """The rotation of a quaternion that is normalised first."""
-    length = tree.math("SQRT", tree.math("MULTIPLY_ADD", w, w, tree.vector("DOT_PRODUCT", v, v)))
-    values = [tree.math("DIVIDE", value, length) for value in (w, *parts(tree, v))]
-    return tree.out("FunctionNodeQuaternionToRotation", "Rotation", dict(zip("WXYZ", values, strict=True)))

@@ -83,7 +83,7 @@ def stretched_maps(maps: Array, turn: Array, moments: Array, uneven: Array) -> t
     share = share * share * (3 - 2 * share)
     turn = np.asarray(turn, dtype=np.float64)
     u, s, vt = np.linalg.svd(maps)
-    share = np.where(s[:, 1] + s[:, 2] > COLLAPSED * s[:, 0], share, 0)
+    share = share * (s[:, 1] + s[:, 2] > COLLAPSED * s[:, 0])
     u[:, :, 2] *= np.where(np.linalg.det(u @ vt) < 0, -1, 1)[:, None]
     own = matrix_to_quat(u @ vt)
     own = np.where(np.einsum("nk,nk->n", own, turn)[:, None] < 0, -own, own)
