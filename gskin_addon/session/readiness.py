@@ -34,6 +34,7 @@ STRAYS = 0.002
 COARSE = 0.5
 """Steps of drawn positions, in standard deviations of a splat, from which a picture shows them."""
 
+
 @dataclass(frozen=True)
 class Check:
     """One look at splats and rig.
