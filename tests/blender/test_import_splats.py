@@ -23,6 +23,7 @@ from gskin_addon.core.splats.spz import write_spz
 from gskin_addon.scene.armature import read_skeleton
 from gskin_addon.scene.attributes import read_attribute
 from gskin_addon.scene.bone_frames import armature_of
+from gskin_addon.scene.gltf_export import export_glb
 from gskin_addon.scene.import_file import ImportOptions, import_steps
 from gskin_addon.scene.placement import up_of
 from gskin_addon.scene.rotation_nodes import frames_of
@@ -169,6 +170,23 @@ def rig():
     armature.select_set(True)
     bpy.context.view_layer.objects.active = obj
     return obj, armature, rigs.random_weights(cloud, 5, rng), rng
+
+
+def test_a_rigged_glb_comes_back_at_rest(rig, tmp_path):
+    """Splats, rotations and harmonics, whatever the pose and wherever the armature stands."""
+    obj, armature, weights, rng = rig
+    write_weights(obj, armature, weights)
+    armature.location = 1.0, 2.0, 3.0
+    bpy.context.view_layer.update()
+    wanted = read_cloud(obj)
+    rigs.random_pose(armature, rng)
+    export_glb(tmp_path / "rigged.glb", [obj])
+    loaded = read_splats(tmp_path / "rigged.glb").cloud
+    found = rotate_cloud(loaded, up_rotation(loaded.up))
+    np.testing.assert_allclose(found.means, wanted.means, atol=1e-5)
+    np.testing.assert_allclose(found.scales, wanted.scales, rtol=1e-5)
+    np.testing.assert_allclose(found.sh, wanted.sh, atol=1e-5)
+    np.testing.assert_allclose(np.abs(np.einsum("ni,ni->n", found.quats, wanted.quats)), 1.0, atol=1e-5)
 
 
 def test_load_weights(rig, tmp_path):
