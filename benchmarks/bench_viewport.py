@@ -27,7 +27,11 @@ from gskin_addon.core.render.camera import look_at
 from gskin_addon.core.render.drawn_splats import DrawnSplats
 from gskin_addon.core.render.screen_space import camera_matrices
 from gskin_addon.core.render.view_order import back_to_front, eye_of, view_colors, view_depths
+from gskin_addon.core.splats.cloud import SplatCloud
+from gskin_addon.scene.node_groups import BY_SHADER, set_display
+from gskin_addon.scene.splat_object import create_splat_object
 from gskin_addon.scene.viewport.drawing import draw_into, make_target, read_target
+from gskin_addon.scene.viewport.reading import read_posed, read_rest
 from gskin_addon.scene.viewport.textures import color_texture, order_texture, pose_textures
 
 WIDTH, HEIGHT = 1598, 875
@@ -61,6 +65,28 @@ def measure(work: Callable[[], Any]) -> tuple[float, float]:
     return float(wall), float(core)
 
 
+def evaluation(splats: DrawnSplats) -> dict[str, Callable[[], Any]]:
+    """What Blender and we do for a new pose beside the rig itself: the display's nodes, and reading what they give."""
+    for old in list(bpy.data.objects):
+        bpy.data.objects.remove(old)
+    cloud = SplatCloud(splats.points, splats.rotations, splats.scales, splats.opacities, splats.sh)
+    obj = create_splat_object(cloud, "Splats")
+    set_display(obj, "Viewport Limit", splats.count)
+    set_display(obj, BY_SHADER, True)
+    layer = bpy.context.view_layer
+    layer.update()
+    rest = read_rest(obj, splats.count)
+
+    def evaluate() -> None:
+        obj.update_tag(refresh={"DATA"})
+        layer.update()
+
+    return {
+        "the display's nodes": evaluate,
+        "reading a pose": lambda: read_posed(obj.evaluated_get(layer.depsgraph), rest, splats.count),
+    }
+
+
 def main() -> None:
     """Print a table for each number of splats."""
     print(f"Blender {bpy.app.version_string}, {gpu.platform.backend_type_get()}, {gpu.platform.renderer_get()}")
@@ -86,6 +112,7 @@ def main() -> None:
             "upload of a pose": lambda s=splats: pose_textures([s]),
             "draw and read back": draw,
             "read back alone": lambda: read_target(target),
+            **evaluation(splats),
         }
         print(f"{count} splats, {WIDTH} x {HEIGHT}")
         for name, work in parts.items():

@@ -45,6 +45,7 @@ from .operators import (
     separate_parts,
     sharpen_weights,
     smooth_weights,
+    standard_view,
 )
 from .scene import fabric_view, follow_display, follow_transforms, handlers, helpers, webp_images
 from .scene.viewport import following as viewport_following
@@ -80,6 +81,7 @@ MODULES = (
     cleanup,
     renew_display,
     pick_splats,
+    standard_view,
     bind,
     save_weights,
     export_glb,

@@ -128,6 +128,12 @@ def find_display(obj: bpy.types.Object) -> bpy.types.NodesModifier | None:
     return find_group(obj, names.DISPLAY_MODIFIER)
 
 
+def draws_native(obj: bpy.types.Object) -> bool:
+    """Whether the object is drawn as Blender's own splats (5.3 and later)."""
+    modifier = find_display(obj)
+    return modifier is not None and has_input(modifier, NATIVE) and bool(get_input(modifier, NATIVE))
+
+
 def add_display(obj: bpy.types.Object) -> bpy.types.NodesModifier:
     """Give the object the display modifier, last in its stack; an existing one is kept."""
     modifier = find_display(obj)

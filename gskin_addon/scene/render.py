@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import bpy
 
@@ -32,6 +33,18 @@ def clear_flecks(scene: bpy.types.Scene) -> None:
     """Raise what Cycles needs for splats without flecks; nothing else changes."""
     prepare_scene(scene)
     scene.cycles.min_transparent_bounces = max(scene.cycles.min_transparent_bounces, CERTAIN_BOUNCES)
+
+
+def changes_colors(scene: bpy.types.Scene) -> bool:
+    """Whether the scene's view transform or look changes captured colours in renders and rendered views."""
+    view: Any = scene.view_settings
+    return view.view_transform not in {"Standard", "Raw"} or view.look != "None"
+
+
+def use_standard_view(scene: bpy.types.Scene) -> None:
+    """Show colours as they are: view transform Standard, no look."""
+    view: Any = scene.view_settings
+    view.view_transform, view.look = "Standard", "None"
 
 
 def render_still(scene: bpy.types.Scene, path: Path, *, size: tuple[int, int] = (512, 512), samples: int = 32) -> None:

@@ -142,6 +142,16 @@ def expected(means: np.ndarray, angle: float = -60.0, each: int = 20) -> np.ndar
     return moved
 
 
+def turns_in_clip(glb: Any, bone: str) -> float:
+    """How much the rotation of a bone's node changes from the first to the last key of the only clip."""
+    (clip,) = glb.json["animations"]
+    for channel in clip["channels"]:
+        if channel["target"] == {"node": glb.node(bone), "path": "rotation"}:
+            values = glb.accessor(clip["samplers"][channel["sampler"]]["output"])
+            return float(np.abs(values[-1] - values[0]).max())
+    return 0.0
+
+
 def write_figure(path: Path) -> Path:
     write_ply(path, cloud())
     return path

@@ -110,7 +110,7 @@ def story(stage: Stage, options: argparse.Namespace) -> Story:
         yield from capture(stage, studio, options)
     yield from failing(stage, studio)
     module = importlib.import_module("addon_utils")
-    obj = bring(options.splats)
+    obj = bring(options.splats, up="z")
     yield from studio.settled()
     stage.check("a new object is drawn by the shader", drawn(obj))
     node = part("scene.node_builder")
@@ -138,7 +138,7 @@ def drawn(obj: Any) -> bool:
 
 def sample(stage: Stage, studio: Studio, splats: Path) -> Story:
     """The demo's character at rest and posed, in perspective and without."""
-    obj = bring(splats)
+    obj = bring(splats, up="z")
     yield from studio.measure("s01_rest", [obj])
     stage.check("imported splats are drawn by the shader", drawn(obj))
     stage.check("and nothing failed", not part("scene.viewport.switch").failure, part("scene.viewport.switch").failure)
@@ -316,6 +316,9 @@ def capture(stage: Stage, studio: Studio, options: argparse.Namespace) -> Story:
     for name, (target, distance) in views.items():
         studio.look(target, distance, front)
         yield from studio.measure(f"s50_capture_{name}", [obj])
+        bpy.context.scene.gskin_draw_splats = False
+        yield from studio.picture(f"s55_ellipsoids_{name}")  # for people: what it was before
+        bpy.context.scene.gskin_draw_splats = True
     stage.numbers["capture_redraw_kept_s"] = redraw_seconds(studio.view)
     yield from timed(stage, studio, "capture")
     rig = part("scene.rig_files").import_armature(options.capture_rig)
