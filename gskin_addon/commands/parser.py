@@ -22,6 +22,7 @@ VERSION = "0.2.0"
 TRAINING_STEPS = 500
 TRAINING_CREATURES = 480
 TRAINING_NETWORKS = 3
+AUTO_SCALE = "auto"
 VIEWS = ("front", "back", "front-left", "front-right", "left", "right")
 
 
@@ -75,6 +76,12 @@ def _rig(commands: Any) -> None:
     )
     rig.add_argument("--mesh-up", choices=UP_AXES, help="that mesh's up axis (default: y for .glb and .gltf, else z)")
     _up(rig, UP_CHOICES, "the splat file's up axis, or auto to guess it (default: by the format's rules, else z)")
+    rig.add_argument(
+        "--rig-scale",
+        type=_scale,
+        metavar="auto|F",
+        help="scale the armature by F, or by what its unit is off (default: say so and leave it)",
+    )
     rig.add_argument("--drop-invalid", action="store_true", help="leave out splats with NaN or infinite values")
     rig.add_argument("--drop-strays", action="store_true", help="leave out splats off the body and faint giants")
     rig.add_argument(
@@ -460,6 +467,15 @@ def _aspect(text: str) -> float:
     return value
 
 
+def _scale(text: str) -> float | str:
+    if text == AUTO_SCALE:
+        return text
+    value = float(text)
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{value} is not above 0")
+    return value
+
+
 def _seed(text: str) -> int:
     value = int(text)
     if not 0 <= value < 2**32:
@@ -476,4 +492,5 @@ def _unit(text: str) -> float:
 
 # argparse names the converter in its message
 _positive.__name__, _seed.__name__, _unit.__name__ = "whole number", "whole number", "number"
+_scale.__name__ = "auto, or number"
 _size.__name__, _aspect.__name__, _length.__name__ = "whole number", "number", "number"

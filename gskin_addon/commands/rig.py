@@ -30,6 +30,7 @@ from ..core.worker.own_python import job_python
 from .blender import require_bpy
 from .console import print_message
 from .paths import check_output, same_file
+from .rig_scale import fit_rig_scale
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -85,6 +86,7 @@ def run(options: argparse.Namespace) -> None:
     if fits_in_file(turned, read_skeleton(armature)):
         bring_rig(armature, -turned.offset)
         print_message(f"Armature '{armature.name}' stands where the file has the splats, and was moved with them.")
+    fit_rig_scale(splats, armature, options.rig_scale)
     proxy = None if mesh is None else create_mesh_object(options.mesh.stem, *mesh)
     # glTF knows no anchors: there the splats keep weights of their own, blended from the mesh's.
     anchored = options.out.suffix.lower() == ".blend"

@@ -188,3 +188,33 @@ def test_messages_never_change_a_files_name(tmp_path, name, monkeypatch, capsys)
     assert f"'{name}' has no vertices" in capsys.readouterr().err
     assert run("render", name + ".none.ply", "--out", "out.png") == 2
     assert f"'{name}.none.ply'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("case", ["units/fig.ply", None])
+@pytest.mark.parametrize(("option", "scale"), [([], 1), (["--rig-scale", "auto"], 10), (["--rig-scale", "10"], 10)])
+def test_a_rig_in_another_unit_is_named_and_mended_on_request(tmp_path, case, option, scale, capsys):
+    splats, rig = inputs(tmp_path, case, figures.figure(), "small10.blend", scale=0.1)
+    there_and_back(tmp_path, splats, rig, *option)
+    words = capsys.readouterr().err
+    assert ("--rig-scale auto scales it" in words) == (not option)
+    assert ("10 times too small" in words) == (option != ["--rig-scale", "10"])
+    assert bpy.data.objects["Rig"].scale[0] == pytest.approx(scale)
+
+
+@pytest.mark.parametrize("unit", [100, 1 / 0.0254])
+def test_a_rig_far_too_large_is_refused_with_its_factor(tmp_path, unit, capsys):
+    splats, rig = inputs(tmp_path, None, figures.figure(), scale=unit)
+    out = tmp_path / "r.blend"
+    assert run("rig", splats, "--armature", rig, "--out", out, "--progress", "none") == 2
+    assert f"{unit:.3g} times too large for the splats; scale it (--rig-scale auto)" in capsys.readouterr().err
+    there_and_back(tmp_path, splats, rig, "--rig-scale", "auto")
+    assert bpy.data.objects["Rig"].scale[0] == pytest.approx(1 / unit)
+
+
+def test_a_large_capture_is_not_refused(tmp_path):
+    columns, rng = figures.figure(4000), np.random.default_rng(5)
+    columns["x"][::2], columns["y"][::2] = rng.normal(0, 8, (2, 2000))
+    columns["z"][::2] = rng.normal(0, 0.01, 2000)
+    splats, rig = inputs(tmp_path, None, columns)
+    there_and_back(tmp_path, splats, rig)
+    assert bpy.data.objects["Rig"].scale[0] == 1.0

@@ -92,7 +92,8 @@ def test_a_rig_of_another_size(scene, armature, factor):
     assert f"times too {'small' if factor < 1 else 'large'}" in check.sentence
     assert check.operator == "gskin.fix_rig_scale"
     assert click(check) == {"FINISHED"}
-    assert armature.scale[0] == pytest.approx(0.9, rel=0.1)
+    # Units are mended exactly; 0.2 is none, there the bones get the size of the splats.
+    assert armature.scale[0] == (pytest.approx(0.9, rel=0.1) if factor == 0.2 else pytest.approx(1.0))
     assert bad() == []
     assert bpy.ops.gskin.auto_skin.poll()
 
@@ -381,7 +382,7 @@ def test_problems_are_drawn_with_their_clicks(scene, armature):
     armature.scale = (100, 100, 100)
     lines = drawn()
     assert "1 thing to mend" in lines
-    assert any(line.startswith("gskin.fix_rig_scale: Scale the Rig by 0.00") for line in lines)
+    assert any(line.startswith("gskin.fix_rig_scale: Scale the Rig by 0.01") for line in lines)
     scene.gskin.splats = None
     assert "gskin.import_splats: Import Splats..." in drawn()
 
@@ -514,6 +515,19 @@ def test_what_cannot_work_now_says_why(scene, operator, words):
     assert not click.poll()
     with pytest.raises(RuntimeError, match=words):
         click()
+
+
+@pytest.mark.parametrize("operator", ["load_weights", "bind_to_armature", "update_rotation_weights", "save_weights"])
+def test_weights_wait_for_the_end_of_edit_mode(scene, splats, armature, operator):
+    bind(splats, armature)
+    bpy.context.view_layer.objects.active = splats
+    bpy.ops.object.mode_set(mode="EDIT")
+    click = getattr(bpy.ops.gskin, operator)
+    assert not click.poll()
+    with pytest.raises(RuntimeError, match="Leave Edit Mode"):
+        click()
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert click.poll()
 
 
 def test_placing_in_another_mode_says_why(scene, armature):
