@@ -7,7 +7,7 @@ DOCS_VENV ?= .venvs/docs
 STAMP = $(VENV)/gskin-setup.sha256
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-versions test-window test-runtime lint zip repository docs bench-speed bench-quality clean
+.PHONY: help venv demo test test-versions test-window test-runtime lint words zip repository docs bench-speed bench-quality clean
 
 help:
 	@echo 'make venv           the environment in $(VENV), with all that gskin needs'
@@ -46,6 +46,10 @@ test-runtime: $(STAMP)
 lint: $(STAMP)
 	@$(RUN) -m ruff check .
 	@$(RUN) -m mypy
+
+# The words of the interface, for translators; after a change of what is drawn.
+words: $(STAMP)
+	@$(RUN) tools/collect_words.py
 
 zip: $(STAMP)
 	@$(RUN) tools/build_zip.py --out dist

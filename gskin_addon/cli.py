@@ -98,7 +98,8 @@ def _interrupt(number: int, frame: Any) -> NoReturn:
 
 
 def _sentence(error: BaseException) -> str:
-    text = " ".join(str(error).split()) or type(error).__name__
+    # Runs of spaces stay: they may be part of a file's name. A name at the beginning stands in quotes.
+    text = " ".join(line.strip() for line in str(error).strip().splitlines()) or type(error).__name__
     return text[:1].upper() + text[1:]
 
 

@@ -2,18 +2,25 @@
 """Build the extension archive with Blender's own extension tool and let the same tool validate it.
 
 .venv/bin/python tools/build_zip.py [--out dist]
+
+Pages of docs/ go along as the manual. Where $SITE_URL says where the documentation is published, as for `make docs`,
+the manifest gets it as the extension's website, and the manual's entry in menus leads there.
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib.util
+import json
+import os
 import shutil
 import subprocess
 import sys
 import tempfile
 import tomllib
 from pathlib import Path
+
+from manual_pages import write_pages
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -58,6 +65,12 @@ def build(out: Path) -> Path:
             ROOT / "gskin_addon", source, ignore=shutil.ignore_patterns("__pycache__", "*.pyc", ".*")
         )
         shutil.copy2(ROOT / "LICENSE", source / "LICENSE")
+        write_pages(ROOT / "docs", source / "manual")
+        site = os.environ.get("SITE_URL", "")
+        if site:
+            text = (source / "blender_manifest.toml").read_text(encoding="utf-8")
+            line = f"website = {json.dumps(site)}\n"  # before the first table
+            (source / "blender_manifest.toml").write_text(text.replace("\n[", f"\n{line}\n[", 1), encoding="utf-8")
         run_tool("validate", str(source))
         run_tool("build", "--source-dir", str(source), "--output-filepath", str(archive))
     run_tool("validate", str(archive))

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -21,6 +22,7 @@ VERSION = "0.2.0"
 TRAINING_STEPS = 500
 TRAINING_CREATURES = 480
 TRAINING_NETWORKS = 3
+AUTO_SCALE = "auto"
 VIEWS = ("front", "back", "front-left", "front-right", "left", "right")
 
 
@@ -44,6 +46,7 @@ def build() -> argparse.ArgumentParser:
     _rig(commands)
     _pose(commands)
     _render(commands)
+    _convert(commands)
     _weights(commands)
     _train_guidance(commands)
     _train_prior(commands)
@@ -58,7 +61,7 @@ def _rig(commands: Any) -> None:
         description="Bind splats to an armature with automatic weights and save the rigged splats.",
         allow_abbrev=False,
     )
-    rig.add_argument("splats", type=Path, metavar="SPLATS.ply", help="Gaussian splats (INRIA .ply)")
+    rig.add_argument("splats", type=Path, metavar="SPLATS", help="Gaussian splats (.ply, .spz, .sog, ...)")
     rig.add_argument(
         "--armature", type=Path, required=True, metavar="RIG", help="armature: .blend, .glb, .gltf or .fbx"
     )
@@ -72,8 +75,12 @@ def _rig(commands: Any) -> None:
         help="a mesh of the same object (.obj, .ply, .glb, .npz, ...): learn weights on it, hang the splats on it",
     )
     rig.add_argument("--mesh-up", choices=UP_AXES, help="that mesh's up axis (default: y for .glb and .gltf, else z)")
+    _up(rig, UP_CHOICES, "the splat file's up axis, or auto to guess it (default: by the format's rules, else z)")
     rig.add_argument(
-        "--ply-up", choices=UP_CHOICES, default="z", help="the PLY's up axis, or auto to guess it (default: z)"
+        "--rig-scale",
+        type=_scale,
+        metavar="auto|F",
+        help="scale the armature by F, or by what its unit is off (default: say so and leave it)",
     )
     rig.add_argument("--drop-invalid", action="store_true", help="leave out splats with NaN or infinite values")
     rig.add_argument("--drop-strays", action="store_true", help="leave out splats off the body and faint giants")
@@ -141,8 +148,9 @@ def _pose(commands: Any) -> None:
         type=Path,
         required=True,
         metavar="OUT",
-        help="what to write: .blend, .glb, or .ply with posed splats",
+        help="what to write: .blend, .glb with the rig, or posed splats (.ply, .spz, .sog, ...)",
     )
+    _up(pose, UP_AXES, "the up axis of posed splats (default: by their format's rules, else as the splats came in)")
     _posing(pose)
     _common(pose)
 
@@ -150,13 +158,20 @@ def _pose(commands: Any) -> None:
 def _render(commands: Any) -> None:
     render = commands.add_parser(
         "render",
-        help="draw splats to a PNG",
-        description="Draw splats (.ply) or rigged splats (.blend) in a pose to a PNG.",
+        help="draw splats to a picture",
+        description="Draw splats (.ply, .spz, .sog, ...) or rigged splats (.blend) in a pose to a PNG; with --view "
+        "camera all splats of a .blend from its scene's camera, with alpha, in the scene's resolution, behind its "
+        "other objects.",
         allow_abbrev=False,
     )
-    render.add_argument("source", type=Path, metavar="SPLATS", help=".ply, or .blend that `gskin rig` wrote")
+    render.add_argument("source", type=Path, metavar="SPLATS", help="splats, or .blend that `gskin rig` wrote")
     render.add_argument("--out", type=Path, required=True, metavar="IMAGE.png")
-    render.add_argument("--view", choices=VIEWS, default="front-left", help="(default: %(default)s)")
+    render.add_argument("--view", choices=(*VIEWS, "camera"), default="front-left", help="(default: %(default)s)")
+    render.add_argument("--frames", metavar="A-B", help="with --view camera: these frames, as 1-24 or 1-24x2")
+    render.add_argument("--resume", action="store_true", help="with --view camera: leave frames that are there")
+    render.add_argument(
+        "--depth", action="store_true", help="with --view camera: also depth, as Z of an .exr or beside a .png"
+    )
     render.add_argument("--size", type=_positive, default=512, metavar="PIXELS", help="(default: %(default)s)")
     render.add_argument(
         "--background", type=_unit, nargs=3, default=[1.0, 1.0, 1.0], metavar=("R", "G", "B"), help="0 to 1"
@@ -173,8 +188,9 @@ def _render(commands: Any) -> None:
         default="gskin",
         help="our rasteriser, or Blender's Cycles (.blend)",
     )
-    render.add_argument("--ply-up", choices=UP_AXES, default="z", help="a .ply's up axis (default: z)")
+    _up(render, UP_AXES, "the splat file's up axis (default: by the format's rules, else z)")
     render.add_argument("--python", metavar="PYTHON", default="", help="the Python with numba that draws")
+    _progress(render)
     _front(render)
     _posing(render)
     _common(render)
@@ -368,6 +384,25 @@ def _runtime(commands: Any) -> None:
         _common(action)
 
 
+def _convert(commands: Any) -> None:
+    convert = commands.add_parser(
+        "convert",
+        help="turn a file of splats into another format",
+        description="Turn a file of splats into the format that the output's name asks for (docs/formats.md).",
+        allow_abbrev=False,
+    )
+    convert.add_argument("source", type=Path, metavar="IN", help="splats: .ply, .spz, .sog, .glb, .splat, .ksplat")
+    convert.add_argument("out", type=Path, metavar="OUT", help="what to write; .compressed.ply for the compressed one")
+    convert.add_argument("--up", choices=UP_AXES, help="IN's up axis (default: by its format's rules, else -y)")
+    convert.add_argument("--out-up", choices=UP_AXES, help="OUT's up axis (default: by its format's rules, else -y)")
+    convert.add_argument("--drop-invalid", action="store_true", help="leave out splats with NaN or infinite values")
+    _common(convert)
+
+
+def _up(parser: argparse.ArgumentParser, choices: Sequence[str], tip: str) -> None:
+    parser.add_argument("--up", "--ply-up", dest="up", choices=tuple(choices), help=tip)
+
+
 def _front(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--front",
@@ -379,7 +414,8 @@ def _front(parser: argparse.ArgumentParser) -> None:
 
 def _posing(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--object", metavar="NAME", help="which splat object, where the file has several")
-    parser.add_argument("--action", metavar="NAME", help="the action to take the pose from")
+    parser.add_argument("--action", metavar="NAME", help="the action of the armature to take the pose from")
+    parser.add_argument("--slot", metavar="NAME", help="which slot of that action, where several fit the armature")
     parser.add_argument("--frame", type=float, metavar="F", help="the frame to take the pose from")
     parser.add_argument(
         "--rotate",
@@ -388,6 +424,14 @@ def _posing(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar=("BONE", "X", "Y", "Z"),
         help="turn a bone by a rotation vector in degrees, along the world's axes at rest; repeatable",
+    )
+    parser.add_argument(
+        "--set",
+        action="append",
+        nargs=3,
+        default=[],
+        metavar=("BONE", "PROPERTY", "VALUE"),
+        help="set a custom property of a bone, such as a switch between FK and IK; repeatable",
     )
 
 
@@ -423,6 +467,15 @@ def _aspect(text: str) -> float:
     return value
 
 
+def _scale(text: str) -> float | str:
+    if text == AUTO_SCALE:
+        return text
+    value = float(text)
+    if not 0.0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{value} is not above 0")
+    return value
+
+
 def _seed(text: str) -> int:
     value = int(text)
     if not 0 <= value < 2**32:
@@ -439,4 +492,5 @@ def _unit(text: str) -> float:
 
 # argparse names the converter in its message
 _positive.__name__, _seed.__name__, _unit.__name__ = "whole number", "whole number", "number"
+_scale.__name__ = "auto, or number"
 _size.__name__, _aspect.__name__, _length.__name__ = "whole number", "number", "number"

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`gskin pose`: rigged splats in another pose, as .blend or posed .ply; or as .glb with their actions."""
+"""`gskin pose`: rigged splats in another pose, as .blend or posed splats; or as .glb with their actions."""
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from ..core.errors import InputError
-from ..core.splats.formats import write_splats
+from ..core.splats.formats import FILE_TYPES, output_format, write_splats
 from .blender import require_bpy
 from .console import print_message
 from .paths import check_output, same_file
@@ -15,60 +17,69 @@ from .paths import check_output, same_file
 if TYPE_CHECKING:
     import bpy
 
+SPLATS = tuple(suffix for suffix in FILE_TYPES if suffix not in (".glb", ".gltf"))
+"""Endings of files of posed splats without a rig."""
+
 
 def run(options: argparse.Namespace) -> None:
     """Do it. Raises InputError for what cannot be used."""
-    check_output(options.out, "--out", (".blend", ".glb", ".ply"))
+    check_output(options.out, "--out", (".blend", ".glb", *SPLATS))
     if same_file(options.source, options.out):
         raise InputError(f"--out '{options.out}' would overwrite its own input; choose another name.")
-    obj = open_posed(options)
-    from ..scene import rig_files
-    from ..scene.posing import posed_cloud
+    kind = options.out.suffix.lower()
+    with posed(options) as obj:
+        from ..scene import rig_files
+        from ..scene.placement import as_in_file
+        from ..scene.posing import posed_cloud
 
-    if options.out.suffix.lower() == ".ply":
-        write_splats(options.out, posed_cloud(obj))
-    elif options.out.suffix.lower() == ".glb":
-        from ..scene.gltf_export import export_glb
+        if kind in SPLATS:
+            form = output_format(options.out)
+            write_splats(options.out, as_in_file(obj, posed_cloud(obj), options.up or form.up), up=form.up)
+        elif kind == ".glb":
+            from ..scene.gltf_export import export_glb
 
-        export_glb(options.out, [obj])
-    else:
+            still = options.rotate or options.set or options.action or options.frame is not None
+            export_glb(options.out, [obj], posed=bool(still))
+    if kind == ".blend":
         rig_files.save_blend(options.out)
     print_message(f"'{obj.name}' is posed in '{options.out}'.")
 
 
-def open_posed(options: argparse.Namespace) -> bpy.types.Object:
-    """Open the .blend of the options and pose it as they say; the splat object."""
-    turns = parse_turns(options.rotate)
-    require_bpy()
-    import bpy
+@contextmanager
+def posed(options: argparse.Namespace) -> Iterator[bpy.types.Object]:
+    """Open the .blend of the options and pose it as they say; gives the splat object.
 
+    Inside the block splats and rig are evaluated even where the file has switched them off.
+    """
+    turns = parse_turns(options.rotate)
+    settings = parse_settings(options.set)
+    require_bpy()
     from ..scene import rig_files
-    from ..scene.posing import turn_bones
+    from ..scene.anchored import proxy_of
+    from ..scene.blend_rigs import own_rig
     from ..scene.proxy_object import followed_armature
+    from ..scene.still_pose import Pose, pose_still
+    from ..scene.visibility import shown
 
     if options.source.suffix.lower() != ".blend":
         raise InputError(f"'{options.source}' is no .blend; give one that `gskin rig` wrote.")
     rig_files.open_blend(options.source)
     obj = rig_files.find_splats(options.source, options.object)
     armature = followed_armature(obj)
-    wanted = turns or options.action or options.frame is not None
-    if armature is None:
-        if wanted:
-            raise InputError(f"'{obj.name}' in '{options.source}' follows no armature; bind it with gskin rig.")
-        return obj
-    if options.action is not None:
-        _assign_action(armature, options.action)
-    if options.frame is not None:
-        whole, part = divmod(options.frame, 1.0)
-        bpy.context.scene.frame_set(int(whole), subframe=part)
-    if turns:
-        # An action would take the turned bones back at the next change of frame.
-        if armature.animation_data is not None and armature.animation_data.action is not None:
-            armature.animation_data.action.use_fake_user = True
-            armature.animation_data.action = None
-        turn_bones(armature, turns)
-    bpy.context.view_layer.update()
-    return obj
+    if options.slot is not None and options.action is None:
+        raise InputError(f"--slot '{options.slot}' is of no use without --action.")
+    wanted = Pose(turns, settings, options.action, options.slot, options.frame)
+    if armature is None and wanted:
+        raise InputError(f"'{obj.name}' in '{options.source}' follows no armature; bind it with gskin rig.")
+    if armature is not None and wanted and armature.library is not None and options.out.suffix.lower() == ".blend":
+        name = armature.library.filepath
+        armature = own_rig(armature)
+        print_message(f"Armature '{armature.name}' was linked from '{name}'; it is the file's own now.")
+    with shown([obj, proxy_of(obj), armature], select=True):
+        if armature is not None:
+            for note in pose_still(obj, armature, wanted):
+                print_message(f"{note[:1].upper()}{note[1:]}.")
+        yield obj
 
 
 def parse_turns(given: list[list[str]]) -> dict[str, tuple[float, float, float]]:
@@ -85,15 +96,12 @@ def parse_turns(given: list[list[str]]) -> dict[str, tuple[float, float, float]]
     return turns
 
 
-def _assign_action(armature: bpy.types.Object, name: str) -> None:
-    import bpy
-
-    action: bpy.types.Action | None = bpy.data.actions.get(name)
-    if action is None:
-        names = ", ".join(f"'{found.name}'" for found in bpy.data.actions) or "none"
-        raise InputError(f"There is no action '{name}'; the file has {names}.")
-    data = armature.animation_data or armature.animation_data_create()
-    data.action = action
-    # From Blender 4.4 an action holds slots, one per animated thing.
-    if hasattr(data, "action_slot") and data.action_slot is None and len(action.slots):
-        data.action_slot = action.slots[0]
+def parse_settings(given: list[list[str]]) -> list[tuple[str, str, float]]:
+    """Bone, property and value, from --set BONE PROPERTY VALUE. InputError for what is no number."""
+    settings = []
+    for bone, prop, text in given:
+        try:
+            settings.append((bone, prop, float(text)))
+        except ValueError:
+            raise InputError(f"--set {bone} {prop} {text}: the value must be a number.") from None
+    return settings

@@ -23,40 +23,51 @@ from ..core.splats.ply import write_ply
 from ..core.worker.interpreter import find_worker_python, worker_environment
 from .console import print_message
 from .paths import check_output
-from .pose import open_posed
+from .pose import posed
 from .rig import read_splats
 
 if TYPE_CHECKING:
     import bpy
 
+CAMERA = "camera"
+"""The --view that stands for the scene's own camera."""
+
 
 def run(options: argparse.Namespace) -> None:
     """Do it. Raises InputError for what cannot be used."""
+    if options.view == CAMERA:
+        from .render_camera import run_camera
+
+        run_camera(options)
+        return
     check_output(options.out, "--out", (".png",))
-    if options.source.suffix.lower() == ".ply":
-        if options.engine == "cycles" or options.color != "splats" or options.rotate or options.frame is not None:
+    if options.frames or options.resume or options.depth:
+        raise InputError("--frames, --resume and --depth are for the scene's camera; add --view camera.")
+    if options.source.suffix.lower() != ".blend":
+        posing = options.rotate or options.set or options.action or options.frame is not None
+        if options.engine == "cycles" or options.color != "splats" or posing:
             raise InputError(f"'{options.source}' has no rig to pose, colour or render by; give a rigged .blend.")
         cloud = read_splats(options.source, drop_invalid=True)
-        draw(rotate_cloud(cloud, up_rotation(options.ply_up)), options)
+        draw(rotate_cloud(cloud, up_rotation(options.up or cloud.up or "z")), options)
     else:
-        obj = open_posed(options)
-        if options.engine == "cycles":
-            from ..scene.cycles import render_view
+        with posed(options) as obj:
+            if options.engine == "cycles":
+                from ..scene.cycles import render_view
 
-            azimuth = options.view.replace("-", "_")
-            render_view(obj, options.out, azimuth, options.size, options.background, front=FRONTS[options.front])
-        else:
-            from ..scene.posing import posed_cloud
-
-            cloud = posed_cloud(obj)
-            if options.color == "weights":
-                cloud = _colored(cloud, _weight_colors(obj))
-            elif options.color == "confidence":
-                cloud = _colored(cloud, _confidence_colors(obj))
-            if importlib.util.find_spec("numba") is not None:
-                draw(cloud, options)
+                azimuth = options.view.replace("-", "_")
+                render_view(obj, options.out, azimuth, options.size, options.background, front=FRONTS[options.front])
             else:
-                _draw_elsewhere(cloud, options)
+                from ..scene.posing import posed_cloud
+
+                cloud = posed_cloud(obj)
+                if options.color == "weights":
+                    cloud = _colored(cloud, _weight_colors(obj))
+                elif options.color == "confidence":
+                    cloud = _colored(cloud, _confidence_colors(obj))
+                if importlib.util.find_spec("numba") is not None:
+                    draw(cloud, options)
+                else:
+                    _draw_elsewhere(cloud, options)
     print_message(f"'{options.out}' is drawn.")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import importlib.util
 import json
 import shutil
 import tempfile
@@ -29,6 +30,7 @@ from ..core.worker.own_python import job_python
 from .blender import require_bpy
 from .console import print_message
 from .paths import check_output, same_file
+from .rig_scale import fit_rig_scale
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -67,6 +69,7 @@ def run(options: argparse.Namespace) -> None:
     require_bpy()
     from ..scene import names, rig_files
     from ..scene.armature import read_skeleton
+    from ..scene.placement import bring_rig, fits_in_file
     from ..scene.proxy_object import create_mesh_object
     from ..scene.splat_object import create_splat_object
     from ..session.skin_job import SkinJob
@@ -74,11 +77,16 @@ def run(options: argparse.Namespace) -> None:
 
     rig_files.empty_scene()
     armature = rig_files.import_armature(options.armature, options.armature_name)
-    up, assumed = resolve_up(options.ply_up, cloud, read_skeleton(armature))
+    up, assumed = resolve_up(options.up or cloud.up or "z", cloud, read_skeleton(armature))
     if assumed:
         print_message(f"'{options.splats}': {assumed}.")
-    splats = create_splat_object(rotate_cloud(cloud, up_rotation(up)), options.splats.stem)
+    turned = rotate_cloud(cloud, up_rotation(up))
+    splats = create_splat_object(turned, options.splats.stem)
     splats.data[names.MARK]["up"] = up
+    if fits_in_file(turned, read_skeleton(armature)):
+        bring_rig(armature, -turned.offset)
+        print_message(f"Armature '{armature.name}' stands where the file has the splats, and was moved with them.")
+    fit_rig_scale(splats, armature, options.rig_scale)
     proxy = None if mesh is None else create_mesh_object(options.mesh.stem, *mesh)
     # glTF knows no anchors: there the splats keep weights of their own, blended from the mesh's.
     anchored = options.out.suffix.lower() == ".blend"
@@ -106,11 +114,23 @@ def run(options: argparse.Namespace) -> None:
 
 def read_splats(path: Path, drop_invalid: bool) -> SplatCloud:
     """The splats of a file with its own axes; says how many were dropped."""
+    if formats.find_format(path) is formats.FORMATS["sog"]:
+        _find_webp_decoder()
     splats = formats.read_splats(path, drop_invalid=drop_invalid)
     dropped = splats.total - splats.cloud.count
     if dropped:
         print_message(f"'{path}': {dropped:,} invalid splats of {splats.total:,} were left out.")
+    for note in splats.cloud.notes:
+        print_message(f"'{path}': {note}.")
     return splats.cloud
+
+
+def _find_webp_decoder() -> None:
+    """Without Pillow, Blender decodes the images of a .sog."""
+    if importlib.util.find_spec("PIL") is None and importlib.util.find_spec("bpy") is not None:
+        from ..scene.webp_images import register
+
+        register()
 
 
 def read_proxy(path: Path, up: str | None) -> tuple[Any, Any]:

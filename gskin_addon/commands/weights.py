@@ -82,12 +82,11 @@ class _Body:
     """What changes need to know of the splats besides their weights; made once, when it is asked for."""
 
     def __init__(self, obj: bpy.types.Object, armature: bpy.types.Object) -> None:
-        from ..scene import names
         from ..scene.armature import read_skeleton
-        from ..scene.attributes import read_attribute
+        from ..scene.seams import read_seams
         from ..scene.splat_object import read_cloud
 
-        self.means, self.sides = read_cloud(obj).means, read_attribute(obj.data, names.SIDE)
+        self.means, self.sides = read_cloud(obj).means, read_seams(obj)
         self.skeleton = read_skeleton(armature)
         self.notes: list[str] = []
         self._graph: BodyGraph | None = None

@@ -171,18 +171,24 @@ def read_arrays(
     return arrays
 
 
-def write_png(path: Path, image: NDArray[Any]) -> None:
-    """An (H, W, 3 or 4) image, float in 0..1 (sRGB) or uint8, as PNG (RFC 2083, filter 0)."""
+def write_png(path: Path, image: NDArray[Any], *, bits: int = 8, level: int = 6) -> None:
+    """An (H, W, 3 or 4) image, float in 0..1 (sRGB) or uint8, as PNG (RFC 2083, filter 0).
+
+    bits: 8, or 16 for floats. level: of zlib, 1 fast to 9 small.
+    """
     if image.ndim != 3 or image.shape[2] not in (3, 4) or 0 in image.shape:
         raise ValueError(f"image has shape {image.shape}, expected (H, W, 3 or 4)")
-    pixels = image if image.dtype == np.uint8 else np.rint(np.clip(image, 0.0, 1.0) * 255).astype(np.uint8)
+    whole = np.dtype(f">u{bits // 8}")
+    pixels = image if image.dtype == np.uint8 else np.rint(np.clip(image, 0.0, 1.0) * (2**bits - 1)).astype(whole)
     height, width, channels = pixels.shape
-    rows = np.zeros((height, 1 + width * channels), np.uint8)  # the leading zero of each row: no filter
-    rows[:, 1:] = pixels.reshape(height, -1)
+    # The leading zero of each row: no filter.
+    rows = np.zeros((height, 1 + width * channels * pixels.itemsize), np.uint8)
+    rows[:, 1:] = np.ascontiguousarray(pixels).view(np.uint8).reshape(height, -1)
 
     def chunk(kind: bytes, data: bytes) -> bytes:
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
-    header = struct.pack(">IIBBBBB", width, height, 8, 2 if channels == 3 else 6, 0, 0, 0)
-    body = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows.tobytes(), 6)) + chunk(b"IEND", b"")
+    depth = 8 * pixels.itemsize
+    header = struct.pack(">IIBBBBB", width, height, depth, 2 if channels == 3 else 6, 0, 0, 0)
+    body = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows.tobytes(), level)) + chunk(b"IEND", b"")
     write_atomically(path, lambda file: file.write(b"\x89PNG\r\n\x1a\n" + body))

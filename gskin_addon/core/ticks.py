@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from typing import TypeVar
 
@@ -15,10 +15,21 @@ _PAUSE = 0.1
 """Seconds between two ticks while threads work."""
 
 Result = TypeVar("Result")
+Steps = Generator[float, None, Result]
+"""Work in pieces: yields the share done, 0 to 1, after each, and returns the result."""
 
 
 def silent(done: float) -> None:
     """A tick for who does not want to know."""
+
+
+def run_to_end(steps: Steps[Result]) -> Result:
+    """Run all pieces at once; gives what the generator returns."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as stop:
+            return stop.value
 
 
 def stretch(tick: Tick, low: float, high: float) -> Tick:

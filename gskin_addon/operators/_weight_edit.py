@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from ..core.errors import GSkinError, InputError
 from ..core.skinning.edits.body_graph import BodyGraph, body_graph
-from ..scene import names
-from ..scene.attributes import read_attribute
 from ..scene.bone_frames import armature_of
+from ..scene.seams import read_seams
 from ..scene.splat_object import read_cloud
 from ..scene.steps import Steps, run_for, run_to_end
 from ..scene.weight_edits import Change, iter_edit_weights, selected_splats, shows_selection
@@ -148,7 +147,7 @@ class WeightEdit:
 
 def graph_of(splats: bpy.types.Object) -> Callable[[], BodyGraph]:
     """A function that makes the graph of the body, in world space; reads Blender now."""
-    means, sides = read_cloud(splats).means, read_attribute(splats.data, names.SIDE)
+    means, sides = read_cloud(splats).means, read_seams(splats)
     return lambda: body_graph(means, walls=sides)
 
 

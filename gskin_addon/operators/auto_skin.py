@@ -4,20 +4,30 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import bpy
+from numpy.typing import NDArray
 
-from ..core.errors import Cancelled, GSkinError
+from ..core.errors import Cancelled, GSkinError, InputError
 from ..core.guidance.options import check_models
 from ..core.job.progress_text import ProgressPrinter
 from ..core.job.settings import JobSettings
+from ..scene.blender_splats import make_riggable
+from ..scene.bone_frames import armature_of
+from ..scene.cleanup import begin_selecting
 from ..scene.steps import Steps, run_for
+from ..scene.weight_edits import selected_splats
+from ..scene.weights import is_edited
 from ..session import running_job, status_bar
-from ..session.chosen import chosen_armature, chosen_splats, panel_settings, proxy_mesh
+from ..session.chosen import chosen_armature, chosen_blender_splats, chosen_splats, panel_settings, proxy_mesh
 from ..session.preferences import job_python
 from ..session.readiness import what_is_missing
 from ..session.skin_job import SkinJob
+
+Array = NDArray[Any]
 
 TICK = 0.1
 """Seconds between two looks at the worker."""
@@ -26,11 +36,12 @@ WRITING = 0.05
 """Seconds of each TICK in which weights are written; the rest is Blender's."""
 
 
-class GSKIN_OT_auto_skin(bpy.types.Operator):
-    """Learn skinning weights for the splats, and let them follow the armature"""
+class SkinOperator:
+    """Mixin of the operators that run a job: started by `invoke`, watched by a timer, written in slices."""
 
-    bl_idname = "gskin.auto_skin"
-    bl_label = "Auto-Skin Gaussians"
+    report: Callable[[set[str], str], None]
+    bl_label: str
+
     # Not REGISTER: a change in the "adjust last operation" box would start the whole job again.
     bl_options = {"UNDO"}
 
@@ -42,8 +53,12 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         problem = what_is_missing(context)
         if problem:
-            cls.poll_message_set(problem)
+            cls.poll_message_set(problem)  # type: ignore[attr-defined]
         return not problem
+
+    def chosen_rows(self, context: bpy.types.Context) -> Array | None:
+        """Splats (N,) bool whose weights may change; None for all. Raises InputError."""
+        return None
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Start the job and come back to it by a timer: Blender stays free meanwhile."""
@@ -52,7 +67,8 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
         if not self._start(context):
             return {"CANCELLED"}
         self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
-        context.window_manager.modal_handler_add(self)
+        operator: Any = self
+        context.window_manager.modal_handler_add(operator)
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -113,6 +129,8 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
         settings = chosen.as_job()
         python, _ = job_python(context, chosen.needs_runtime())
         try:
+            _take_over(context)
+            only = self.chosen_rows(context)
             JobSettings.parse(settings)
             check_models(settings["guidance"], settings.get("options", {}))
             self._job = SkinJob.start(
@@ -120,8 +138,10 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
                 chosen_armature(context),
                 settings,
                 python,
-                proxy_mesh(context),
+                None if only is not None else proxy_mesh(context),
                 allow_download=chosen.models.may_download(),
+                only=only,
+                paintable=chosen.paintable,
             )
         except GSkinError as error:
             self._fail(context, error)
@@ -157,6 +177,96 @@ class GSKIN_OT_auto_skin(bpy.types.Operator):
         status_bar.clear(context)
 
 
+def _take_over(context: bpy.types.Context) -> None:
+    """Make splats of Blender's riggable, as the check list says. Raises InputError for what is in the way then."""
+    splats = chosen_blender_splats(context)
+    if splats is None:
+        return
+    make_riggable(context, splats)
+    if not bpy.app.background:  # a step of its own: it stays where the job is cancelled
+        bpy.ops.ed.undo_push(message="Make Riggable")
+    problem = what_is_missing(context)
+    if problem:
+        raise InputError(f"{problem}.")
+
+
+class GSKIN_OT_auto_skin(SkinOperator, bpy.types.Operator):
+    """Learn skinning weights for the splats, and let them follow the armature"""
+
+    bl_idname = "gskin.auto_skin"
+    bl_label = "Auto-Skin Gaussians"
+
+    confirmed: bpy.props.BoolProperty(options={"HIDDEN", "SKIP_SAVE"})
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """As a job starts; weights that were changed by hand are asked about first."""
+        splats = chosen_splats(context)
+        watched = not bpy.app.background and context.window is not None
+        if watched and not self.confirmed and splats is not None and is_edited(splats):
+            _ours().auto_skin_again("INVOKE_DEFAULT")
+            return {"CANCELLED"}  # the other operator starts this one again
+        return super().invoke(context, event)
+
+
+class GSKIN_OT_auto_skin_again(bpy.types.Operator):
+    """Ask before new weights take the place of weights that were changed by hand"""
+
+    bl_idname = "gskin.auto_skin_again"
+    bl_label = "Weights were changed by hand"
+    bl_options = {"INTERNAL"}
+
+    which: bpy.props.EnumProperty(
+        name="New Weights for",
+        description="The splats that get new weights",
+        items=[
+            ("ALL", "All Splats", "But for locked vertex groups"),
+            ("SELECTED", "Selected Splats", "The others, and locked vertex groups, stay to the bit"),
+        ],
+    )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> Any:
+        return context.window_manager.invoke_props_dialog(self, width=380)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        column = self.layout.column()
+        column.prop(self, "which", expand=True)
+        column.label(text="Locked vertex groups stay. Compare Weights brings back what was", icon="INFO")
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        selected = self.which == "SELECTED"
+        started: Any = (
+            _ours().refine_selected("INVOKE_DEFAULT")
+            if selected
+            else _ours().auto_skin("INVOKE_DEFAULT", confirmed=True)
+        )
+        return {"FINISHED"} if "RUNNING_MODAL" in started else {"CANCELLED"}
+
+
+class GSKIN_OT_refine_selected(SkinOperator, bpy.types.Operator):
+    """Run the job for the selected splats alone: other splats and locked groups stay to the bit, and a guidance starts
+    from the weights that are there"""
+
+    bl_idname = "gskin.refine_selected"
+    bl_label = "Refine Selected"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        problem = what_is_missing(context, in_edit_mode=True)
+        if not problem and armature_of(chosen_splats(context)) != chosen_armature(context):
+            problem = "Select splats that follow the armature by weights of their own"
+        if problem:
+            cls.poll_message_set(problem)
+        return not problem
+
+    def chosen_rows(self, context: bpy.types.Context) -> Array | None:
+        splats = chosen_splats(context)
+        selected = selected_splats(splats)
+        if not selected.any():
+            raise InputError(f"No splats of '{splats.name}' are selected; select some in Edit Mode (Tab).")
+        begin_selecting(context, splats)
+        return selected
+
+
 class GSKIN_OT_cancel_auto_skin(bpy.types.Operator):
     """Stop the running job; the same job started again goes on where it was"""
 
@@ -173,4 +283,8 @@ class GSKIN_OT_cancel_auto_skin(bpy.types.Operator):
         return {"FINISHED"}
 
 
-CLASSES = (GSKIN_OT_auto_skin, GSKIN_OT_cancel_auto_skin)
+def _ours() -> Any:
+    return bpy.ops.gskin  # type: ignore[attr-defined]  # what is registered here
+
+
+CLASSES = (GSKIN_OT_auto_skin, GSKIN_OT_auto_skin_again, GSKIN_OT_refine_selected, GSKIN_OT_cancel_auto_skin)

@@ -11,9 +11,10 @@ from bpy_extras.io_utils import ImportHelper
 
 from ..core.errors import GSkinError
 from ..core.rig.weights_file import read_weights_file
-from ..scene.binding import bind
+from ..scene.binding import bind, check_splats
 from ..scene.bone_frames import armature_of
 from ..scene.influences import splats_without_bones
+from ..scene.single_user import own_mesh, said_of, sharers
 from ..scene.splat_object import splat_count
 from ..scene.weights import update_rotation_weights, write_weights
 from ..session.chosen import chosen_armature, chosen_splats
@@ -42,6 +43,7 @@ class GSKIN_OT_load_weights(bpy.types.Operator, ImportHelper):
         splats, armature = chosen_splats(context), chosen_armature(context)
         try:
             result = read_weights_file(Path(self.filepath))
+            shared = said_of(splats, sharers(splats))
             write_weights(
                 splats,
                 armature,
@@ -54,7 +56,7 @@ class GSKIN_OT_load_weights(bpy.types.Operator, ImportHelper):
             self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
         words = f"{len(result.weights):,} splats follow {len(result.bones)} bones of '{armature.name}'"
-        self.report({"INFO"}, words)
+        self.report({"INFO"}, f"{words}; {shared}" if shared else words)
         return {"FINISHED"}
 
 
@@ -72,12 +74,16 @@ class GSKIN_OT_bind_to_armature(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         splats, armature = chosen_splats(context), chosen_armature(context)
         try:
+            check_splats(splats)
+            shared = said_of(splats, own_mesh(splats))
             bind(splats, armature)
             update_rotation_weights(splats)
         except GSkinError as error:
             self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
         still, total = splats_without_bones(splats), splat_count(splats)
+        if shared:
+            self.report({"INFO"}, shared)
         if still:
             self.report(
                 {"WARNING"},
@@ -102,7 +108,7 @@ class GSKIN_OT_update_rotation_weights(bpy.types.Operator):
         if splats is None or armature_of(splats) is None:
             cls.poll_message_set("Select splats that follow an armature")
             return False
-        return True
+        return _not_edited(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
@@ -119,6 +125,13 @@ def _has_both(operator: type[bpy.types.Operator], context: bpy.types.Context) ->
         return False
     if chosen_armature(context) is None:
         operator.poll_message_set("Select the armature along with the splats")
+        return False
+    return _not_edited(operator, context)
+
+
+def _not_edited(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    if chosen_splats(context).mode == "EDIT":
+        operator.poll_message_set("Leave Edit Mode (Tab)")
         return False
     return True
 

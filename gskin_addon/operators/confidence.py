@@ -3,14 +3,17 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
+import numpy as np
+from numpy.typing import NDArray
 
 from ..core.errors import GSkinError
 from ..scene import names
 from ..scene.attributes import read_attribute
 from ..scene.cleanup import begin_selecting, show_selected
 from ..session.chosen import chosen_splats
-from ..session.confidence import SURE
 
 
 class GSKIN_OT_select_unsure_splats(bpy.types.Operator):
@@ -20,10 +23,19 @@ class GSKIN_OT_select_unsure_splats(bpy.types.Operator):
     bl_label = "Select Unsure Splats"
     bl_options = {"REGISTER", "UNDO"}
 
+    worst: bpy.props.FloatProperty(
+        name="Least Sure",
+        description="This part of the splats is selected, the least sure ones",
+        default=5.0,
+        min=0.0,
+        max=100.0,
+        precision=1,
+        subtype="PERCENTAGE",
+    )
     below: bpy.props.FloatProperty(
-        name="Confidence Below",
-        description="Splats less sure than this are selected",
-        default=SURE,
+        name="And All Below",
+        description="Splats less sure than this are selected in any case; 0 for none",
+        default=0.0,
         min=0.0,
         max=1.0,
         subtype="FACTOR",
@@ -41,13 +53,23 @@ class GSKIN_OT_select_unsure_splats(bpy.types.Operator):
         obj = chosen_splats(context)
         try:
             begin_selecting(context, obj)
-            unsure = read_attribute(obj.data, names.CONFIDENCE) < self.below
+            confidence = read_attribute(obj.data, names.CONFIDENCE)
+            unsure = least(confidence, self.worst / 100) | (confidence < self.below)
             show_selected(context, obj, unsure)
         except GSkinError as error:
             self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
-        self.report({"INFO"}, f"{unsure.sum():,} of {len(unsure):,} splats are less sure than {self.below:.2f}")
+        bound = float(confidence[unsure].max(initial=0.0))
+        words = f"{unsure.sum():,} of {len(unsure):,} splats selected"
+        self.report({"INFO"}, f"{words}, none surer than {bound:.0%}" if unsure.any() else words)
         return {"FINISHED"}
+
+
+def least(values: NDArray[Any], share: float) -> NDArray[np.bool_]:
+    """Mask (N,) of the smallest of values (N,), `share` (0 to 1) of them; of equal ones the first."""
+    mask = np.zeros(len(values), bool)
+    mask[np.argsort(values, kind="stable")[: round(share * len(values))]] = True
+    return mask
 
 
 CLASSES = (GSKIN_OT_select_unsure_splats,)

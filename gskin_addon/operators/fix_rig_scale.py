@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..scene.rig_fit import rest_skeleton, sample_splats, scale_to_fit, to_world, topmost
+from ..scene.rig_fit import guess_rig_scale, sample_splats, scale_rig, to_world
 from ..session.chosen import chosen_armature, chosen_splats
 from ._rig_and_splats import can_move_rig
 
@@ -24,11 +24,9 @@ class GSKIN_OT_fix_rig_scale(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         splats, armature = chosen_splats(context), chosen_armature(context)
         context.view_layer.update()
-        factor = scale_to_fit(to_world(sample_splats(splats).points, splats), rest_skeleton(armature))
-        top = topmost(armature)
-        top.scale = top.scale * factor
-        context.view_layer.update()
-        self.report({"INFO"}, f"'{top.name}' was scaled by {factor:.3g}")
+        guess = guess_rig_scale(to_world(sample_splats(splats).points, splats), armature)
+        top = scale_rig(armature, guess.factor, about_world=guess.about_world)
+        self.report({"INFO"}, f"'{top.name}' was scaled by {guess.factor:.3g}")
         return {"FINISHED"}
 
 

@@ -7,12 +7,10 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import bpy
-from mathutils import Vector
 
 from ..core.errors import GSkinError
 from ..scene import views
-from ..scene.placement import is_placed, offset_of, place_on_floor, turn_up, undo_placement, up_of
-from ..scene.rig_fit import topmost
+from ..scene.placement import bring_rig, is_placed, place_on_floor, shift_of, turn_up, undo_placement, up_of
 from ..session.chosen import chosen_armature, chosen_splats
 
 # A mix-in at run time: Blender would register a base class that is an operator itself.
@@ -97,7 +95,7 @@ class GSKIN_OT_undo_placement(_OnPlacedSplats, bpy.types.Operator):
         return self._try(undo_placement, chosen_splats(context))
 
 
-class GSKIN_OT_move_rig_to_splats(_OnPlacedSplats, bpy.types.Operator):
+class GSKIN_OT_move_rig_to_splats(_OnSplats, bpy.types.Operator):
     """Move an armature that was made for the file's coordinates by as much as the splats were moved at import"""
 
     bl_idname = "gskin.move_rig_to_splats"
@@ -107,14 +105,16 @@ class GSKIN_OT_move_rig_to_splats(_OnPlacedSplats, bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         if not super().poll(context):
             return False
+        if not shift_of(chosen_splats(context)).any():
+            cls.poll_message_set("The splats are where their file has them")
+            return False
         if chosen_armature(context) is None:
             cls.poll_message_set("No armature is chosen")
             return False
         return True
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        top = topmost(chosen_armature(context))
-        top.location = top.location + Vector(offset_of(chosen_splats(context)).tolist())
+        bring_rig(chosen_armature(context), shift_of(chosen_splats(context)))
         return {"FINISHED"}
 
 

@@ -13,6 +13,7 @@ from ..core.errors import InputError
 from ..core.rig.bendy import BendyBone
 from ..core.rig.skeleton import Skeleton
 from .transforms import world_similarity
+from .visibility import shown
 
 Array = NDArray[Any]
 
@@ -72,7 +73,9 @@ def pose_transforms_of(armature: bpy.types.Object, depsgraph: bpy.types.Depsgrap
     Bones in the order of `read_skeleton`. They map points at rest, under the armature's present object transform, to
     posed points.
     """
-    depsgraph = depsgraph or bpy.context.evaluated_depsgraph_get()
+    if depsgraph is None:
+        with shown([armature]):
+            return pose_transforms_of(armature, bpy.context.evaluated_depsgraph_get())
     evaluated = armature.evaluated_get(depsgraph)
     bones = deform_bones(armature)
     pose = np.array([evaluated.pose.bones[bone.name].matrix for bone in bones], dtype=np.float64)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whole attributes of a mesh's points, to and from arrays."""
+"""Whole attributes of the points of a mesh or a point cloud, to and from arrays."""
 
 from __future__ import annotations
 
@@ -9,17 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 ObjectData = Any
-"""What `Object.data` is, by Blender's typings one of a dozen kinds; here always that of a mesh object."""
+"""What `Object.data` is, by Blender's typings one of a dozen kinds; here that of a mesh or point cloud object."""
 
 # Blender's attribute type -> (property that holds the value, numbers per element, numpy type of foreach_*).
 # FLOAT_COLOR's "color" is the raw linear value; only "color_srgb" would be colour managed.
 _LAYOUT: dict[str, tuple[str, int, Any]] = {
     "FLOAT": ("value", 1, np.float32),
     "INT": ("value", 1, np.int32),
+    "INT32_2D": ("value", 2, np.int32),
     "BOOLEAN": ("value", 1, np.bool_),
     "FLOAT_VECTOR": ("vector", 3, np.float32),
     "FLOAT_COLOR": ("color", 4, np.float32),
     "QUATERNION": ("value", 4, np.float32),
+    "FLOAT4": ("vector", 4, np.float32),  # Blender 5.3 and later; what its own splats have their colours in
 }
 
 
@@ -33,8 +35,8 @@ def write_attribute(mesh: ObjectData, name: str, kind: str, values: NDArray[Any]
     if attribute is None:
         attribute = mesh.attributes.new(name, kind, "POINT")
     flat = np.ascontiguousarray(values, dtype=dtype).reshape(-1)
-    if flat.size != width * len(mesh.vertices):
-        raise ValueError(f"{name} has {flat.size} numbers for {len(mesh.vertices)} points of width {width}")
+    if flat.size != width * len(attribute.data):
+        raise ValueError(f"{name} has {flat.size} numbers for {len(attribute.data)} points of width {width}")
     attribute.data.foreach_set(prop, flat)
 
 
@@ -50,9 +52,10 @@ def read_attribute(mesh: ObjectData, name: str) -> NDArray[Any] | None:
 
 
 def read_positions(mesh: ObjectData) -> NDArray[np.float32]:
-    """Vertex positions (N, 3) in the object's own space."""
-    flat = np.empty(len(mesh.vertices) * 3, dtype=np.float32)
-    mesh.attributes["position"].data.foreach_get("vector", flat)
+    """Positions (N, 3) of the vertices or points in the object's own space."""
+    places = mesh.attributes["position"].data
+    flat = np.empty(len(places) * 3, dtype=np.float32)
+    places.foreach_get("vector", flat)
     return flat.reshape(-1, 3)
 
 

@@ -47,6 +47,8 @@ def follow(
     if modifier is None:
         new: Any = obj.modifiers.new(names.ARMATURE_MODIFIER, "ARMATURE")
         modifier = new
+        # Edit Mode selects on the posed figure.
+        modifier.show_in_editmode = modifier.show_on_cage = True
         # Behind whatever deforms the rest shape, before anything that draws.
         display = find_display(obj)
         if display is not None:

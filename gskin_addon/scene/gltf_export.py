@@ -24,7 +24,10 @@ from ..core.splats import gltf
 from ..core.splats.axes import rotate_cloud
 from ..core.splats.cloud import SplatCloud
 from .bone_frames import armature_of
+from .fabric import bring_fabrics_back, lay_fabrics_aside
+from .gltf_clips import clips_of, keep_own, play_companions
 from .splat_object import is_splat_object, read_cloud
+from .visibility import shown
 
 _EXPORTER = "io_scene_gltf2"
 _hidden: list[tuple[str, str]] = []
@@ -62,6 +65,24 @@ class SplatExport:
         export_settings["gltf_loose_points"] = splats or self._options["gltf_loose_points"]
         export_settings["gltf_apply"] = False if splats else self._options["gltf_apply"]
 
+    def gather_actions_hook(self, blender_object: Any, gathered: Any, export_settings: dict[str, Any]) -> None:
+        """An armature that moves splats is given no clips of others."""
+        if _moves_splats(blender_object):
+            keep_own(blender_object, gathered)
+
+    def pre_animation_switch_hook(self, blender_object: Any, blender_action: Any, *_: Any) -> None:
+        """Before a clip is sampled."""
+        play_companions(blender_object, blender_action)
+
+    def gather_gltf_hook(self, active: int, scenes: Any, animations: Any, export_settings: dict[str, Any]) -> None:
+        """When all is gathered: skinned splats become roots of their scene, their skins name the armature's node.
+
+        Blender hangs a skinned mesh under its armature. The positions are in world space, so whoever does not know
+        skins must not apply the armature's transform to them a second time.
+        """
+        for scene in scenes:
+            _make_roots(scene)
+
     def gather_mesh_hook(
         self,
         gltf2_mesh: Any,
@@ -97,25 +118,34 @@ def export_glb(
     *,
     deform_bones_only: bool = False,
     animations: bool = True,
+    posed: bool = False,
 ) -> None:
     """Export splat objects, with the armatures they follow and their actions, as one .glb.
 
     Further objects in `objects` are exported as Blender does. The file appears at `path` when it is complete.
+    posed: the joints stand as the bones do now, and not at rest, also where there are clips.
 
     Raises InputError: no splat object, not a .glb name, no such folder, an object not in the scene or not
     selectable, non-uniform object scale; GSkinError where the exporter fails or the file cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() != ".glb":
-        raise InputError(f"{path} does not end in .glb; choose such a name.")
+        raise InputError(f"'{path}' does not end in .glb; choose such a name.")
     if not path.parent.is_dir():
-        raise InputError(f"{path.parent} is no folder; create it or choose another one.")
+        raise InputError(f"'{path.parent}' is no folder; create it or choose another one.")
     if not any(is_splat_object(obj) for obj in objects):
-        raise InputError(f"{path}: there are no splats among the objects to export; choose a splat object.")
-    armatures = [armature for obj in objects if (armature := armature_of(obj)) is not None]
+        raise InputError(f"'{path}': there are no splats among the objects to export; choose a splat object.")
+    armatures = list(dict.fromkeys(a for obj in objects if (a := armature_of(obj)) is not None))
     frame = bpy.context.scene.frame_current
     try:
-        with replaced(path, ".glb") as temporary, _selected([*objects, *armatures]), _discoverable(), nodes_hidden():
+        with (
+            replaced(path, ".glb") as temporary,
+            shown([*_seen(objects), *armatures], select=True),
+            _selected([*objects, *armatures]),
+            _discoverable(),
+            nodes_hidden(),
+            clips_of(armatures, posed=posed, animations=animations) as options,
+        ):
             _failures.clear()
             bpy.ops.export_scene.gltf(
                 filepath=str(temporary),
@@ -131,18 +161,33 @@ def export_glb(
                 export_def_bones=deform_bones_only,
                 export_morph=False,
                 export_animations=animations,
+                export_anim_slide_to_zero=True,
                 export_materials="EXPORT",
+                **options,
             )
             if _failures:
                 raise _failures[0]
     except RuntimeError as error:
         if _failures:
             raise _failures[0] from error
-        raise GSkinError(f"{path}: Blender's glTF exporter failed ({_last_error(error)}).") from error
+        raise GSkinError(f"'{path}': Blender's glTF exporter failed ({_last_error(error)}).") from error
     finally:
         # The exporter moves to frame 0 and stays there when it fails.
         if bpy.context.scene.frame_current != frame:
             bpy.context.scene.frame_set(frame)
+
+
+def _seen(objects: Sequence[bpy.types.Object]) -> Sequence[bpy.types.Object]:
+    """Those of the objects that are not hidden: what an artist hides is not to be exported."""
+    layer = bpy.context.view_layer
+    layer.update()
+    return [obj for obj in objects if layer.objects.get(obj.name) == obj and obj.visible_get(view_layer=layer)]
+
+
+def _moves_splats(obj: Any) -> bool:
+    return obj is not None and obj.type == "ARMATURE" and any(
+        is_splat_object(other) and armature_of(other) == obj for other in bpy.data.objects
+    )
 
 
 def _last_error(error: RuntimeError) -> str:
@@ -153,7 +198,8 @@ def _last_error(error: RuntimeError) -> str:
 
 
 def hide_nodes() -> None:
-    """Switch off the Geometry Nodes modifiers of all splat objects, until `show_nodes`."""
+    """Switch off the Geometry Nodes modifiers of all splat objects and lay their fabrics aside, until `show_nodes`."""
+    lay_fabrics_aside()
     for obj in bpy.data.objects:
         if is_splat_object(obj):
             for modifier in obj.modifiers:
@@ -163,7 +209,8 @@ def hide_nodes() -> None:
 
 
 def show_nodes() -> None:
-    """Switch on what `hide_nodes` switched off."""
+    """Switch on what `hide_nodes` switched off, and bring the fabrics back."""
+    bring_fabrics_back()
     if not _hidden:
         return
     present = {obj.name: obj for obj in bpy.data.objects if is_splat_object(obj)}
@@ -257,6 +304,31 @@ def _add_splats(gltf2_mesh: Any, cloud: SplatCloud) -> None:
     )
     if "JOINTS_0" in attributes:
         primitive.extras = {**(primitive.extras or {}), gltf.SKINNING_EXTRAS_NAME: dict(gltf.SKINNING_EXTRAS)}
+
+
+def _make_roots(scene: Any) -> None:
+    """Move the nodes of skinned splats to the top of the scene, without a transform, which skins ignore."""
+    waiting, splats = [(None, node) for node in scene.nodes], []
+    parents: dict[int, Any] = {}
+    while waiting:
+        parent, node = waiting.pop()
+        parents[id(node)] = parent
+        waiting += [(node, child) for child in node.children or ()]
+        if node.skin is not None and node.mesh is not None and _is_splat_mesh(node.mesh):
+            splats.append((parent, node))
+    for parent, node in splats:
+        carriers = {id(parents[id(joint)]): parents[id(joint)] for joint in node.skin.joints if id(joint) in parents}
+        tops = [carrier for carrier in carriers.values() if carrier not in node.skin.joints]
+        if node.skin.skeleton is None and len(tops) == 1 and tops[0] is not None:
+            node.skin.skeleton = tops[0]
+        node.translation = node.rotation = node.scale = node.matrix = None
+        if parent is not None:
+            parent.children = [child for child in parent.children if child is not node]
+            scene.nodes.append(node)
+
+
+def _is_splat_mesh(mesh: Any) -> bool:
+    return any(gltf.EXTENSION_NAME in (primitive.extensions or {}) for primitive in mesh.primitives)
 
 
 def _accessor(values: NDArray[Any]) -> Any:

@@ -91,3 +91,8 @@ def splats_without_bones(obj: bpy.types.Object) -> int:
     """Number of splats that no bone turns, as last written or taken over from the vertex groups."""
     strongest = read_attribute(obj.data, names.BONE.format(0))
     return len(obj.data.vertices) if strongest is None else int((strongest < 0).sum())
+
+
+def strongest_bone(obj: bpy.types.Object) -> Array | None:
+    """(N,) int32: the deform bone that moves each splat most, -1 for none; None where no armature moves them."""
+    return read_attribute(obj.data, names.BONE.format(0))

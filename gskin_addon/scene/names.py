@@ -4,11 +4,15 @@
 from __future__ import annotations
 
 MARK = "gskin"
-"""Custom property that marks a splat mesh: a group with version, sh_degree, the names of extra
+"""Custom property that marks a splat mesh: a group with version, sh_degree, the names and number types of extra
 columns, and where known the file's up axis (up) and what an applied transform has broken (warning)."""
 
 OFFSET = "gskin_offset"
 """Custom property of a splat object: how far it was moved from the file's coordinates."""
+
+GEO_OFFSET = "gskin_geo_offset"
+"""Custom property of a splat object whose file lies far from the origin: world coordinates + it are the file's, turned
+to Blender's axes. Not there for others."""
 
 PLACES = "gskin_places"
 """Custom property of a splat mesh: where some splats were when all attributes fitted together."""
@@ -65,6 +69,13 @@ CONFIDENCE = "gskin:confidence"
 
 SIDE = "gskin:side"
 """Label of a splat at a seam, 0 for none: splats with two labels belong to parts that touch but are not one."""
+
+COMPARED = "gskin_compared"
+"""Custom property of a splat mesh whose weights have a counterpart to compare with: a group with name (of what was
+before), shown ("before" or "result") and bones, those of the kept side."""
+KEPT_BONE = "gskin:kept_bone_{}"
+"""On the points: the side that is not shown. Index into these bones; what has weight 0 is empty."""
+KEPT_WEIGHT = "gskin:kept_weight_{}"
 
 COLOR = "gskin:color"
 """Linear colour and opacity of a drawn splat; exists only on the display geometry."""

@@ -79,6 +79,12 @@ class Tree:
         inputs = {"Geometry": geometry, "Name": name, "Value": value}
         return self.out("GeometryNodeStoreNamedAttribute", "Geometry", inputs, data_type=kind, domain="POINT")
 
+    def has(self, geometry: Value, name: str, kind: str) -> Value:
+        """Whether the geometry has an attribute on its points, as a single boolean: looked up at the first one."""
+        exists = self.out("GeometryNodeInputNamedAttribute", "Exists", {"Name": name}, data_type=kind)
+        inputs = {"Geometry": geometry, "Value": exists, "Index": 0}
+        return self.out("GeometryNodeSampleIndex", "Value", inputs, data_type="BOOLEAN", domain="POINT")
+
     def object_geometry(self, obj: Value) -> Value:
         """An object's evaluated geometry in its own space."""
         return self.out("GeometryNodeObjectInfo", "Geometry", {"Object": obj}, transform_space="ORIGINAL")

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The node group that draws splats as coloured ellipsoids.
+"""The node group that draws splats: as Blender's own (5.3 and later, `native_nodes.py`), or as coloured ellipsoids.
 
-In the viewport they are octahedra of one mesh, which Blender draws fast and which show their colours in Solid mode
-too; in renders they are instances of a sphere whose material fades like the Gaussian itself.
+Ellipsoids: in the viewport they are octahedra of one mesh, which Blender draws fast and which show their colours in
+Solid mode too; in renders they are instances of a sphere whose material fades like the Gaussian itself.
 """
 
 from __future__ import annotations
 
-import math
+from functools import partial
 from typing import Any
 
 import bpy
@@ -15,31 +15,45 @@ import numpy as np
 
 from . import names
 from .attributes import read_attribute
-from .display_colors import SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF, splat_color
-from .materials import FAINTEST, render_material
+from .display_colors import SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF, splat_color, splat_srgb
+from .native_nodes import has_native_splats, native_splats
 from .node_builder import Tree, add_modifier, find_group, geometry_group, get_input, has_input, set_input
 from .octahedra import CORNERS, ensure_octahedra, octahedra_count
+from .seen_color import seen_color
+from .soft_nodes import soft_splats
+from .viewport.nodes import shader_points
 
-VERSION = 3
+VERSION = 5
 
 VIEWPORT_LIMIT = 100_000
 VIEWPORT_SIGMAS = 1.6
 """Radius of a splat drawn solid. A Gaussian stops to hide what is behind it at about 1.2 standard deviations; an
 octahedron needs more to cover as much, and with less a surface shows holes."""
 
+NATIVE = "Native Splats"
+_NATIVE_INPUT: tuple[str, str, dict[str, Any]] = (
+    NATIVE,
+    "NodeSocketBool",
+    {"default_value": True, "description": "Draw Blender's own Gaussian splats in every engine; off, ellipsoids"},
+)
+
+FACING = "Face Camera"
+
 _INPUTS: list[tuple[str, str, dict[str, Any]]] = [
     (
         "Display",
         "NodeSocketBool",
-        {"default_value": True, "description": "Draw ellipsoids; off, the object is its bare points"},
+        {"default_value": True, "description": "Draw the splats; off, the object is its bare points"},
     ),
+    *([_NATIVE_INPUT] if has_native_splats() else []),
     (
         "Viewport Limit",
         "NodeSocketInt",
         {
             "default_value": VIEWPORT_LIMIT,
             "min_value": 1,
-            "description": "Most splats drawn in the viewport, spread evenly over all; renders draw every one",
+            "description": "Most splats drawn in the viewport, those that hide most; of ellipsoids some of all parts. "
+            "Renders draw every one",
         },
     ),
     (
@@ -56,6 +70,15 @@ _INPUTS: list[tuple[str, str, dict[str, Any]]] = [
             "max_value": 1.0,
             "subtype": "FACTOR",
             "description": "Splats below this opacity are not drawn in the viewport, where all look opaque",
+        },
+    ),
+    (
+        FACING,
+        "NodeSocketBool",
+        {
+            "default_value": True,
+            "description": "Renders draw each splat as a disc that faces the scene's camera, blended in the right "
+            "order; off, as an ellipsoid, which mirrors show whole",
         },
     ),
     (
@@ -83,7 +106,13 @@ DISPLAY_INPUTS = tuple(label for label, _, _ in _INPUTS)
 """Labels of what can be set, in the order of the modifier."""
 
 OCTAHEDRA = "Octahedra"
-_HIDDEN: list[tuple[str, str, dict[str, Any]]] = [(OCTAHEDRA, "NodeSocketObject", {"hide_in_modifier": True})]
+BY_SHADER = "Drawn by Shader"
+"""True while the shader of `viewport/` draws the object; nothing else sets it, and no saved file has it."""
+
+_HIDDEN: list[tuple[str, str, dict[str, Any]]] = [
+    (OCTAHEDRA, "NodeSocketObject", {"hide_in_modifier": True}),
+    (BY_SHADER, "NodeSocketBool", {"default_value": False, "hide_in_modifier": True}),
+]
 
 
 def display_group() -> bpy.types.NodeTree:
@@ -99,6 +128,12 @@ def find_display(obj: bpy.types.Object) -> bpy.types.NodesModifier | None:
     return find_group(obj, names.DISPLAY_MODIFIER)
 
 
+def draws_native(obj: bpy.types.Object) -> bool:
+    """Whether the object is drawn as Blender's own splats (5.3 and later)."""
+    modifier = find_display(obj)
+    return modifier is not None and has_input(modifier, NATIVE) and bool(get_input(modifier, NATIVE))
+
+
 def add_display(obj: bpy.types.Object) -> bpy.types.NodesModifier:
     """Give the object the display modifier, last in its stack; an existing one is kept."""
     modifier = find_display(obj)
@@ -110,6 +145,16 @@ def add_display(obj: bpy.types.Object) -> bpy.types.NodesModifier:
         match_octahedra(obj)
     obj.modifiers.move(obj.modifiers.find(modifier.name), len(obj.modifiers) - 1)
     return modifier
+
+
+def renew_display(obj: bpy.types.Object) -> None:
+    """Give a display of an older file the present node group; what was set stays."""
+    modifier = add_display(obj)
+    kept = {name: get_input(modifier, name) for name in DISPLAY_INPUTS if has_input(modifier, name)}
+    modifier.node_group = display_group()
+    for name, value in kept.items():
+        set_input(modifier, name, value)
+    match_octahedra(obj)
 
 
 def set_display(obj: bpy.types.Object, name: str, value: Any) -> None:
@@ -147,8 +192,8 @@ def _build(group: bpy.types.NodeTree) -> None:
 
     base = sampled(names.BASE, "FLOAT_COLOR")
     opacity = tree.output(tree.node("FunctionNodeSeparateColor", {"Color": base}), "Alpha")
-    shown_as = (tree.output(source, label) for label in (SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF))
-    color = splat_color(tree, sampled, *shown_as)
+    shown_as = [tree.output(source, label) for label in (SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF)]
+    color = splat_color(tree, sampled, *shown_as, seen=partial(seen_color, tree, splats, sampled))
     points = tree.out("GeometryNodePoints", "Points", {"Count": shown, "Position": sampled("position", "FLOAT_VECTOR")})
 
     points = tree.store(points, names.COLOR, "FLOAT_COLOR", color)
@@ -168,9 +213,9 @@ def _build(group: bpy.types.NodeTree) -> None:
     wider = tree.math("MULTIPLY", tree.math("SQRT", tree.math("MINIMUM", step, 9.0)), VIEWPORT_SIGMAS)
     wider = tree.math("MULTIPLY", size, wider)
     faint = tree.math("LESS_THAN", opacity, tree.output(source, "Minimum Opacity"))
-    seen = tree.store(points, names.ROTATION, "QUATERNION", rotation)
-    seen = tree.store(seen, names.SCALE, "FLOAT_VECTOR", scale)
-    inputs = {"Geometry": seen, "Selection": faint}
+    placed = tree.store(points, names.ROTATION, "QUATERNION", rotation)
+    placed = tree.store(placed, names.SCALE, "FLOAT_VECTOR", scale)
+    inputs = {"Geometry": placed, "Selection": faint}
     seen = tree.out("GeometryNodeDeleteGeometry", "Geometry", inputs, domain="POINT")
     borrowed = tree.object_geometry(tree.output(source, OCTAHEDRA))
     # Where the settings were just changed, the helper may have another number; then faces are made the slow way.
@@ -183,18 +228,37 @@ def _build(group: bpy.types.NodeTree) -> None:
     inputs = {"Switch": fits, "False": made, "True": _place(tree, borrowed, seen, wider)}
     solid = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
 
-    sphere = tree.out("GeometryNodeMeshIcoSphere", "Mesh", {"Radius": 1.0, "Subdivisions": 2})
-    sphere = tree.out("GeometryNodeSetMaterial", "Geometry", {"Geometry": sphere, "Material": render_material()})
-    # The radius, in standard deviations, that `render_material` takes the sphere to have.
-    ratio = tree.math("MAXIMUM", tree.math("MULTIPLY", opacity, 1 / FAINTEST), 1.0)
-    reach = tree.math("SQRT", tree.math("MULTIPLY", tree.math("LOGARITHM", ratio, math.e), 2.0))
-    soft = instances(sphere, tree.math("MULTIPLY", size, reach), tree.math("GREATER_THAN", reach, 0.0))
+    soft = soft_splats(tree, placed, opacity, size, tree.output(source, FACING))
 
+    bare = shader_points(tree, splats, shown_as, partial(splat_color, tree))
+    inputs = {"Switch": tree.output(source, BY_SHADER), "False": solid, "True": bare}
+    solid = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
     inputs = {"Switch": in_viewport, "False": soft, "True": solid}
     drawn = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
-    inputs = {"Switch": tree.output(source, "Display"), "False": splats, "True": drawn}
+    if has_native_splats():
+        inputs = {"Switch": tree.output(source, NATIVE), "False": drawn, "True": _native(tree, source)}
+        drawn = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
+    # Without a display nothing is seen of the fabric either, see `fabric.py`.
+    inputs = {"Geometry": splats}
+    bare = tree.out("GeometryNodeDeleteGeometry", "Geometry", inputs, domain="EDGE", mode="EDGE_FACE")
+    inputs = {"Switch": tree.output(source, "Display"), "False": bare, "True": drawn}
     result = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
     tree.node("NodeGroupOutput", {"Geometry": result})
+
+
+def _native(tree: Tree, source: Any) -> Any:
+    """All splats as Blender's own, in the viewport too."""
+    splats = tree.output(source, "Geometry")
+    index = tree.out("GeometryNodeInputIndex", "Index")
+
+    def sampled(name: Any, kind: str) -> Any:
+        inputs = {"Geometry": splats, "Value": tree.attribute(name, kind), "Index": index}
+        return tree.out("GeometryNodeSampleIndex", "Value", inputs, data_type=kind, domain="POINT")
+
+    shown_as = (SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF)
+    bones, confidence, weights = (tree.output(source, label) for label in shown_as)
+    srgb, special = splat_srgb(tree, sampled, bones, confidence, weights)
+    return native_splats(tree, splats, tree.output(source, "Size"), special, srgb)
 
 
 def _place(tree: Tree, octahedra: Any, points: Any, factor: Any) -> Any:

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import bpy
 import mathutils
@@ -17,40 +18,98 @@ from ..core.splats.cloud import SplatCloud
 from .anchored import proxy_of
 from .armature import bends_of, pose_transforms_of
 from .bone_frames import armature_of
+from .controls import controls, find_control, outer_sources, why_held
 from .deform_stack import beyond_linear_blending, measured_deform
 from .proxy_object import posed_anchored
 from .splat_object import read_cloud, to_world
+from .visibility import shown
 from .weights import read_weights
+
+_CHANNELS = {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}
+"""The rotation that counts, by rotation mode; Euler angles for all others."""
+
+_SAME = 0.002
+"""Radians that two rotations may differ by and still be one."""
 
 
 def turn_bones(
     armature: bpy.types.Object, turns: Mapping[str, Sequence[float]], frame: int | None = None
-) -> None:
-    """Turn pose bones on top of their present pose, each about its head.
+) -> list[str]:
+    """Turn pose bones on top of their present pose, each about its head; gives sentences about what held some back.
 
     turns: bone name -> rotation vector (3,) in degrees about the world's axes, as they lie in the rest pose
-    (the paper's local joint rotation). With `frame` the bones' rotations are keyed there. Raises InputError
-    for an unknown bone.
+    (the paper's local joint rotation). The bones keep their rotation modes. With `frame` their rotations are keyed
+    there. Raises InputError for an unknown bone, and for one that does not turn, with the reason and what to turn
+    instead; no bone is turned then.
     """
-    world = armature.matrix_world.to_quaternion()
-    for name, vector in turns.items():
-        bone: bpy.types.PoseBone | None = armature.pose.bones.get(name)
-        if bone is None:
+    for name in turns:
+        if name not in armature.pose.bones:
             raise InputError(
                 f"Armature '{armature.name}' has no bone '{name}'; its bones are listed in Edit Mode."
             )
-        angles = mathutils.Vector([float(np.radians(angle)) for angle in vector])
-        turn = (
-            mathutils.Quaternion(angles.normalized(), angles.length)
-            if angles.length
-            else mathutils.Quaternion()
-        )
-        rest = world @ bone.bone.matrix_local.to_quaternion()
-        present = _rotation(bone)
-        bone.rotation_mode = "QUATERNION"
-        bone.rotation_quaternion = rest.inverted() @ turn @ rest @ present
-        if frame is not None:
-            bone.keyframe_insert("rotation_quaternion", frame=frame, group=name)
+    with shown([armature]):
+        bpy.context.view_layer.update()
+        before = channels(armature, turns)
+        for name, vector in turns.items():
+            _turn(armature, name, vector)
+        asked = {name: armature.pose.bones[name].matrix_basis.copy() for name in turns}
+        notes = [] if _all_free(armature, asked) else _one_by_one(armature, turns, before)
+    if frame is not None:
+        for name in turns:
+            bone = armature.pose.bones[name]
+            bone.keyframe_insert(_CHANNELS.get(bone.rotation_mode, "rotation_euler"), frame=frame, group=name)
+    return notes
+
+
+def hold_pose(armature: bpy.types.Object) -> list[str]:
+    """Let the present pose stay when the frame changes: the action is taken off, NLA tracks are muted.
+
+    Both stay in the file. Gives sentences about it.
+    """
+    data: Any = armature.animation_data
+    if data is None:
+        return []
+    notes = []
+    data.use_tweak_mode = False
+    if data.action is not None:
+        data.action.use_fake_user = True
+        notes.append(f"the action '{data.action.name}' of '{armature.name}' was taken off, so that the pose stays")
+        data.action = None
+    playing = [track for track in data.nla_tracks if not track.mute]
+    for track in playing:
+        track.mute, track.is_solo = True, False
+    if playing:
+        names = ", ".join(f"'{track.name}'" for track in playing)
+        notes.append(f"NLA tracks of '{armature.name}' were muted, so that the pose stays: {names}")
+    return notes
+
+
+Channels = Mapping[str, tuple[float, ...]]
+"""Rotations of pose bones, each as its rotation mode keeps them, by bone."""
+
+
+def channels(armature: bpy.types.Object, names: Iterable[str] | None = None) -> Channels:
+    """Rotations of the named pose bones (default: of all) to come back to with `restore`."""
+    bones = armature.pose.bones
+    return {
+        name: tuple(getattr(bones[name], _CHANNELS.get(bones[name].rotation_mode, "rotation_euler")))
+        for name in (bones.keys() if names is None else names)
+    }
+
+
+def restore(armature: bpy.types.Object, before: Channels) -> None:
+    """Set what `channels` took."""
+    for name, values in before.items():
+        bone = armature.pose.bones[name]
+        setattr(bone, _CHANNELS.get(bone.rotation_mode, "rotation_euler"), values)
+    bpy.context.view_layer.update()
+
+
+def pose_matrices(armature: bpy.types.Object) -> dict[str, mathutils.Matrix]:
+    """Evaluated matrices of all pose bones in the armature's space, by name."""
+    with shown([armature]):
+        evaluated = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
+        return {bone.name: bone.matrix.copy() for bone in evaluated.pose.bones}
 
 
 def posed_cloud(obj: bpy.types.Object) -> SplatCloud:
@@ -86,8 +145,92 @@ def _measured_cloud(obj: bpy.types.Object) -> SplatCloud:
 
 def _rotation(bone: bpy.types.PoseBone) -> mathutils.Quaternion:
     if bone.rotation_mode == "QUATERNION":
-        return bone.rotation_quaternion.copy()
+        return bone.rotation_quaternion.normalized()
     if bone.rotation_mode == "AXIS_ANGLE":
         angle, *axis = bone.rotation_axis_angle
         return mathutils.Quaternion(axis, angle)
     return bone.rotation_euler.to_quaternion()
+
+
+def _turn(armature: bpy.types.Object, name: str, vector: Sequence[float]) -> None:
+    bone = armature.pose.bones[name]
+    world = armature.matrix_world.to_quaternion()
+    rest = world @ bone.bone.matrix_local.to_quaternion()
+    rotation = rest.inverted() @ _quaternion(vector) @ rest @ _rotation(bone)
+    if bone.rotation_mode == "QUATERNION":
+        bone.rotation_quaternion = rotation
+    elif bone.rotation_mode == "AXIS_ANGLE":
+        axis, angle = rotation.to_axis_angle()
+        bone.rotation_axis_angle = (angle, *axis)
+    else:
+        mode: Any = bone.rotation_mode
+        bone.rotation_euler = rotation.to_euler(mode, bone.rotation_euler)
+
+
+def _quaternion(vector: Sequence[float]) -> mathutils.Quaternion:
+    angles = mathutils.Vector([float(np.radians(angle)) for angle in vector])
+    return mathutils.Quaternion(angles.normalized(), angles.length) if angles.length else mathutils.Quaternion()
+
+
+def _angle(rotation: mathutils.Quaternion) -> float:
+    """The shorter way of a rotation, 0 to pi."""
+    return float(min(rotation.angle, 2 * np.pi - rotation.angle))
+
+
+def _all_free(armature: bpy.types.Object, asked: Mapping[str, mathutils.Matrix]) -> bool:
+    """Whether these bones are evaluated as asked, by their own matrices; not so where others have a say.
+
+    asked: taken before the evaluation, which lets drivers write over the channels.
+    """
+    bpy.context.view_layer.update()
+    evaluated = armature.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    for name, basis in asked.items():
+        now = evaluated.pose.bones[name]
+        parents: dict[str, Any] = {}
+        if now.parent is not None:
+            parents = {"parent_matrix": now.parent.matrix, "parent_matrix_local": now.parent.bone.matrix_local}
+        free = now.bone.convert_local_to_pose(basis, now.bone.matrix_local, **parents)
+        if _angle(free.to_quaternion().rotation_difference(now.matrix.to_quaternion())) > _SAME:
+            return False
+    return True
+
+
+def _one_by_one(
+    armature: bpy.types.Object, turns: Mapping[str, Sequence[float]], before: Channels
+) -> list[str]:
+    """Turn the bones after each other and look at each before and after."""
+    restore(armature, before)
+    notes = []
+    for name, vector in turns.items():
+        asked = _angle(_quaternion(vector))
+        last = pose_matrices(armature)[name].to_quaternion()
+        _turn(armature, name, vector)
+        bpy.context.view_layer.update()
+        got = _angle(last.rotation_difference(pose_matrices(armature)[name].to_quaternion()))
+        if asked > _SAME and got < max(_SAME, 0.02 * asked):
+            restore(armature, before)
+            raise InputError(_held(armature, name, vector, before))
+        if abs(asked - got) > max(_SAME, 0.02 * asked):
+            words = f"'{name}' turned by {np.degrees(got):.0f} of {np.degrees(asked):.0f} degrees"
+            reason = why_held(armature, name)
+            notes.append(f"{words}: its rotation {reason}" if reason else words)
+    return notes
+
+
+def _held(
+    armature: bpy.types.Object, name: str, vector: Sequence[float], before: Channels
+) -> str:
+    """Why a bone does not turn, and what to turn instead."""
+    if armature.data.pose_position == "REST":
+        return f"Armature '{armature.name}' is in Rest Position, in which no bone turns; set it to Pose Position."
+    every = channels(armature)
+    control = find_control(
+        armature, name, lambda other: _turn(armature, other, vector), lambda: restore(armature, every)
+    )
+    restore(armature, before)
+    reason = why_held(armature, name) or "does not follow its channels"
+    words = f"Bone '{name}' of '{armature.name}' cannot be turned, because its rotation {reason}"
+    if control is not None:
+        return f"{words}; {control}."
+    found = ", ".join(f"'{other}'" for other in [*outer_sources(armature, name), *controls(armature, name)[:3]])
+    return f"{words}; move or change what it follows instead: {found}." if found else f"{words}."

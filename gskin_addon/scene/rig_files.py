@@ -10,7 +10,9 @@ import bpy
 
 from ..core.errors import GSkinError, InputError
 from ..core.files import replaced
-from .bone_frames import is_bone_frames
+from .actions import drop_foreign
+from .blend_rigs import append_rig, keep_only
+from .dependencies import needed_objects
 from .splat_object import is_splat_object
 
 ARMATURE_SUFFIXES = (".blend", ".glb", ".gltf", ".fbx")
@@ -22,7 +24,7 @@ def empty_scene() -> None:
 
 
 def import_armature(path: Path, name: str | None = None) -> bpy.types.Object:
-    """Add the armature of a .blend, .glb, .gltf or .fbx file to the scene, with its actions, without meshes.
+    """Add the armature of a .blend, .glb, .gltf or .fbx file to the scene, with its actions and all that moves it.
 
     `name` chooses among several. Raises InputError: no such file or kind, unreadable, no armature, no such
     name.
@@ -31,14 +33,15 @@ def import_armature(path: Path, name: str | None = None) -> bpy.types.Object:
         raise InputError(f"'{path}' is no armature file; give a {', '.join(ARMATURE_SUFFIXES)} file.")
     if not path.is_file():
         raise InputError(f"'{path}' does not exist; check the path of the armature file.")
-    before = set(bpy.data.objects)
     if path.suffix.lower() == ".blend":
-        _append(path)
-    else:
-        _import(path)
+        return _append(path, name)
+    before, actions = set(bpy.data.objects), set(bpy.data.actions)
+    _import(path)
     added = [obj for obj in bpy.data.objects if obj not in before]
     armature = _choose([obj for obj in added if obj.type == "ARMATURE"], "armature", name, path)
-    _remove_others(armature, added)
+    needed = needed_objects(armature)
+    drop_foreign([action for action in bpy.data.actions if action not in actions], needed)
+    keep_only(needed, added)
     return armature
 
 
@@ -67,27 +70,13 @@ def save_blend(path: Path) -> None:
         raise GSkinError(f"'{path}' could not be written ({_reason(error)}); check folder and free space.") from error
 
 
-def _append(path: Path) -> None:
+def _append(path: Path, name: str | None) -> bpy.types.Object:
     try:
-        libraries: Any = bpy.data.libraries
-        with libraries.load(str(path.absolute()), link=False) as (source, target):
-            target.objects = list(source.objects)
-            target.actions = list(source.actions)
+        return append_rig(path, lambda found: _choose(found, "armature", name, path))
     except (OSError, RuntimeError, ValueError) as error:
+        if isinstance(error, GSkinError):
+            raise
         raise InputError(f"'{path}' cannot be read as a .blend ({_reason(error)}); {_remedy(error)}.") from error
-    for action in target.actions:
-        if action is not None:
-            action.use_fake_user = True
-    for obj in target.objects:
-        if obj is not None and obj.type == "ARMATURE":
-            bpy.context.scene.collection.objects.link(obj)
-            # The frame of a parent (an empty that scales an imported rig, say) comes with it.
-            parent = obj.parent
-            while parent is not None:
-                if parent.name not in bpy.context.scene.objects:
-                    bpy.context.scene.collection.objects.link(parent)
-                parent = parent.parent
-    bpy.context.view_layer.update()
 
 
 def _import(path: Path) -> None:
@@ -119,24 +108,6 @@ def _choose(found: list[bpy.types.Object], kind: str, name: str | None, path: Pa
         if obj.name == name:
             return obj
     raise InputError(f"'{path}' has no {kind} '{name}'; it has {names}.")
-
-
-def _remove_others(armature: bpy.types.Object, added: list[bpy.types.Object]) -> None:
-    """Keep of an imported file only the armature, its parents, and what its bones need."""
-    needed = {armature}
-    parent = armature.parent
-    while parent is not None:
-        needed.add(parent)
-        parent = parent.parent
-    for bone in armature.pose.bones:
-        needed.update(shape for shape in [bone.custom_shape] if shape is not None)
-        targets = [getattr(constraint, "target", None) for constraint in bone.constraints]
-        needed.update(target for target in targets if target is not None)
-    for obj in added:
-        if obj not in needed and not is_bone_frames(obj):
-            bpy.data.objects.remove(obj)
-    data: Any = bpy.data
-    data.orphans_purge(do_local_ids=True, do_linked_ids=True, do_recursive=True)
 
 
 def _remedy(error: BaseException) -> str:

@@ -10,10 +10,12 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.rig.rig_scale import ScaleGuess, guess_scale
 from ..core.rig.skeleton import Skeleton
 from ..core.splats.cleanup import find_strays
 from ..core.splats.cloud import SplatCloud
-from .attributes import ObjectData, read_positions
+from . import names
+from .attributes import ObjectData, read_attribute, read_positions
 
 Array = NDArray[Any]
 
@@ -23,27 +25,33 @@ SAMPLE = 20_000
 _GAP = 0.03
 """A sample is thinner than the splats: with the gap of `find_strays` its fringes would count as strays."""
 
-_FILLED = 0.9
-"""Part of the splats' extent that the bones of a sound rig have: their ends lie inside the body."""
-
 
 @dataclass(frozen=True, eq=False)
 class SplatSample:
-    """points (n, 3) float64 in the object's own space, without strays; strays: their share of the splats, 0 to 1."""
+    """points (n, 3) float64 in the object's own space, without strays; strays: their share of the splats, 0 to 1.
+
+    reach: the largest extent of all splats, strays too; size: the median standard deviation of a splat; both metres
+    in the object's own space.
+    """
 
     points: Array
     strays: float
+    reach: float
+    size: float
 
 
 def sample_splats(obj: bpy.types.Object) -> SplatSample:
     """At most `SAMPLE` evenly picked splats of a splat object with at least two, at rest."""
     points = read_positions(obj.data)
+    reach = float(np.ptp(points, axis=0).max())
+    scales = read_attribute(obj.data, names.SCALE)
     points = points[:: -(-len(points) // SAMPLE)]
     blank = np.zeros((len(points), 1, 3), np.float32)
     ones = np.ones((len(points), 4), np.float32)
     stray = find_strays(SplatCloud(points, ones / 2, ones[:, :3], ones[:, 0], blank), gap=_GAP)
     kept = points if stray.all() else points[~stray]
-    return SplatSample(kept.astype(np.float64), float(stray.mean()))
+    size = 0.0 if scales is None else float(np.median(scales[:: max(1, len(scales) // SAMPLE)]))
+    return SplatSample(kept.astype(np.float64), float(stray.mean()), reach, size)
 
 
 def to_world(points: Array, obj: bpy.types.Object) -> Array:
@@ -53,12 +61,17 @@ def to_world(points: Array, obj: bpy.types.Object) -> Array:
 
 
 def rest_skeleton(armature: bpy.types.Object) -> Skeleton:
-    """Ends of the deform bones at rest in the world, as of the last update; without parents and rest rotations."""
+    """The deform bones at rest in the world, as of the last update; without rest rotations.
+
+    Blender lists parents before their children.
+    """
     data: ObjectData = armature.data
     bones = [bone for bone in data.bones if bone.use_deform]
+    index = {bone.name: place for place, bone in enumerate(bones)}
+    parents = [next((index[up.name] for up in bone.parent_recursive if up.name in index), -1) for bone in bones]
     ends = [to_world(np.array([getattr(b, end) for b in bones], np.float64).reshape(-1, 3), armature)
             for end in ("head_local", "tail_local")]  # fmt: skip
-    return Skeleton(tuple(bone.name for bone in bones), np.full(len(bones), -1), *ends)
+    return Skeleton(tuple(index), np.array(parents), *ends)
 
 
 def box_of(points: Array) -> tuple[Array, Array]:
@@ -73,11 +86,19 @@ def bone_box(skeleton: Skeleton) -> tuple[Array, Array]:
     return ends.min(axis=0), ends.max(axis=0)
 
 
-def scale_to_fit(points: Array, skeleton: Skeleton) -> float:
-    """By how much the bones must be scaled to be as large as the splats at `points` (n, 3); 1 where one has no size."""
-    (low, high), (bottom, top) = box_of(points), bone_box(skeleton)
-    wanted, present = float(np.linalg.norm(high - low)), float(np.linalg.norm(top - bottom))
-    return _FILLED * wanted / present if wanted > 0 and present > 0 else 1.0
+def guess_rig_scale(points: Array, armature: bpy.types.Object) -> ScaleGuess:
+    """Whether an armature is of another unit than splats at `points` (n, 3) in the world, as of the last update."""
+    return guess_scale(points, rest_skeleton(armature), np.array(topmost(armature).matrix_world.translation))
+
+
+def scale_rig(armature: bpy.types.Object, factor: float, *, about_world: bool = False) -> bpy.types.Object:
+    """Scale an armature object, or what carries it, which is given; `about_world` moves it along."""
+    top = topmost(armature)
+    top.scale = top.scale * factor
+    if about_world:
+        top.location = top.location * factor
+    bpy.context.view_layer.update()
+    return top
 
 
 def step_to_fit(points: Array, skeleton: Skeleton) -> Array:

@@ -20,7 +20,9 @@ from ..core.splats.axes import rotate_cloud
 from ..core.splats.cloud import SplatCloud
 from . import names
 from .attributes import ObjectData, read_attribute, read_positions, write_attribute, write_positions
+from .extra_columns import read_extra, write_extra
 from .node_groups import add_display
+from .steps import Steps, run_to_end
 from .transforms import world_similarity
 
 VERSION = 1
@@ -37,14 +39,29 @@ def create_splat_object(
     With `display` it gets the node group that draws the splats. Takes 0.3 s per million splats of degree 0.
     Raises InputError for an empty cloud.
     """
+    return run_to_end(create_splat_steps(cloud, name, collection=collection, display=display))
+
+
+def create_splat_steps(
+    cloud: SplatCloud, name: str, *, collection: bpy.types.Collection | None = None, display: bool = True
+) -> Steps[bpy.types.Object]:
+    """`create_splat_object` in slices; nothing of it stays where they end early."""
     if cloud.count == 0:
         raise InputError(f"'{name}' has no splats; choose a file with at least one.")
     mesh = bpy.data.meshes.new(name)
-    mesh.vertices.add(cloud.count)
-    _write_columns(mesh, cloud)
+    try:
+        mesh.vertices.add(cloud.count)
+        yield 0.0
+        yield from _column_steps(mesh, cloud)
+    except BaseException:
+        bpy.data.meshes.remove(mesh)
+        raise
     obj = bpy.data.objects.new(name, mesh)
     (collection or bpy.context.scene.collection).objects.link(obj)
+    if cloud.offset.any():
+        obj[names.GEO_OFFSET] = cloud.offset.tolist()
     if display:
+        yield 1.0
         add_display(obj)
     return obj
 
@@ -85,7 +102,8 @@ def read_cloud(obj: bpy.types.Object, *, world: bool = True) -> SplatCloud:
         scales=np.maximum(_require(obj, names.SCALE), 0.0),
         opacities=np.clip(base[:, 3], 0.0, 1.0),
         sh=sh,
-        extra=_read_extra(mesh),
+        extra=read_extra(mesh),
+        offset=np.array(obj.get(names.GEO_OFFSET, (0.0, 0.0, 0.0))),
     )
     return to_world(cloud, obj) if world else cloud
 
@@ -98,7 +116,7 @@ def replace_cloud(obj: bpy.types.Object, cloud: SplatCloud) -> None:
             "create a new object for them."
         )
     mesh: ObjectData = obj.data
-    _write_columns(mesh, cloud)
+    run_to_end(_column_steps(mesh, cloud))
 
 
 def refuse_edit_mode(obj: bpy.types.Object) -> None:
@@ -107,24 +125,30 @@ def refuse_edit_mode(obj: bpy.types.Object) -> None:
         raise InputError(f"'{obj.name}' is in Edit Mode; leave it (Tab) and try again.")
 
 
-def _write_columns(mesh: bpy.types.Mesh, cloud: SplatCloud) -> None:
+def _column_steps(mesh: bpy.types.Mesh, cloud: SplatCloud) -> Steps[None]:
+    """Write every value of the cloud, one attribute after the other."""
     write_positions(mesh, cloud.means)
+    yield 0.1
     write_attribute(mesh, names.ROTATION, "QUATERNION", cloud.quats)
+    yield 0.15
     write_attribute(mesh, names.SCALE, "FLOAT_VECTOR", cloud.scales)
+    yield 0.2
     base = np.empty((cloud.count, 4), dtype=np.float32)
     base[:, :3], base[:, 3] = cloud.sh[:, 0], cloud.opacities
     write_attribute(mesh, names.BASE, "FLOAT_COLOR", base)
-    for index in range(cloud.sh.shape[1] - 1):
+    yield 0.25
+    coefficients = cloud.sh.shape[1] - 1
+    for index in range(coefficients):
         write_attribute(mesh, names.SH.format(index), "FLOAT_VECTOR", cloud.sh[:, index + 1])
-    kept = []
-    for column, values in cloud.extra.items():
-        kind = _kind_of(values)
-        if kind is not None:
-            write_attribute(mesh, names.EXTRA.format(column), kind, values)
-            kept.append(column)
+        yield 0.25 + 0.65 * (index + 1) / coefficients
+    columns = write_extra(mesh, {})
+    for number, (column, values) in enumerate(cloud.extra.items()):
+        told = write_extra(mesh, {column: values})
+        columns = {key: f"{columns[key]}\n{text}" if number else text for key, text in told.items()}
+        yield 0.9
     mark = mesh.get(names.MARK)
     up = None if mark is None else mark.get("up")
-    mesh[names.MARK] = {"version": VERSION, "sh_degree": cloud.sh_degree, "extra": "\n".join(kept)}
+    mesh[names.MARK] = {"version": VERSION, "sh_degree": cloud.sh_degree, **columns}
     if up is not None:
         mesh[names.MARK]["up"] = up
     remember_places(mesh)
@@ -145,25 +169,6 @@ def reference_points(mesh: bpy.types.Mesh) -> tuple[NDArray[np.float64], NDArray
         return None
     now = np.array([mesh.vertices[i].co for i in stored["index"]], dtype=np.float64)
     return np.array(stored["points"], dtype=np.float64).reshape(-1, 3), now
-
-
-def _kind_of(values: NDArray[Any]) -> str | None:
-    """Blender's type for a column; None where 32 bits cannot hold it."""
-    if values.dtype == np.bool_:
-        return "BOOLEAN"
-    if np.issubdtype(values.dtype, np.floating):
-        return "FLOAT"
-    if np.issubdtype(values.dtype, np.integer):
-        limits = np.iinfo(np.int32)
-        fits = values.size == 0 or (int(values.min()) >= limits.min and int(values.max()) <= limits.max)
-        return "INT" if fits else None
-    return None
-
-
-def _read_extra(mesh: bpy.types.Mesh) -> dict[str, NDArray[Any]]:
-    columns = str(mesh[names.MARK].get("extra", "")).split("\n")
-    found = {column: read_attribute(mesh, names.EXTRA.format(column)) for column in columns if column}
-    return {column: values for column, values in found.items() if values is not None}
 
 
 def _require(obj: bpy.types.Object, name: str) -> NDArray[Any]:

@@ -6,24 +6,18 @@ Blender draws and listens only between slices, so each stays well below 0.1 s fo
 
 from __future__ import annotations
 
+import threading
 import time
-from collections.abc import Generator, Iterator
-from typing import TypeVar
+from collections.abc import Callable, Iterator
 
-Result = TypeVar("Result")
-Steps = Generator[float, None, Result]
+from ..core.ticks import Result, Steps, run_to_end
+
+__all__ = ["SLICE", "Steps", "in_thread", "part_of", "run_for", "run_to_end", "slices"]
+
+_WAIT = 0.01  # seconds that one slice waits for a thread
 
 SLICE = 10_000
 """The most splats that one slice visits from Python."""
-
-
-def run_to_end(steps: Steps[Result]) -> Result:
-    """Run all slices at once; gives what the generator returns."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as stop:
-            return stop.value
 
 
 def run_for(steps: Steps[Result], seconds: float) -> float:
@@ -53,3 +47,24 @@ def slices(count: int, size: int = SLICE) -> Iterator[slice]:
     """Consecutive slices of at most `size` that cover `count` things."""
     for first in range(0, count, size):
         yield slice(first, min(first + size, count))
+
+
+def in_thread(function: Callable[[], Result]) -> Steps[Result]:
+    """Run the function, which must not touch Blender, beside it; a slice waits a moment. Raises what it raises."""
+    result: list[Result] = []
+    raised: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            result.append(function())
+        except BaseException as error:  # it is raised where the result is waited for
+            raised.append(error)
+
+    thread = threading.Thread(target=run, name="gskin", daemon=True)
+    thread.start()
+    while thread.is_alive():
+        thread.join(_WAIT)
+        yield 0.0
+    if raised:
+        raise raised[0]
+    return result[0]

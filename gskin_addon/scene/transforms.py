@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
+from .visibility import shown
 
 Array = NDArray[Any]
 
@@ -20,8 +21,9 @@ def world_similarity(obj: bpy.types.Object) -> tuple[Array, float, Array]:
     Raises InputError where the matrix is not uniform: a stretched, sheared or mirrored Gaussian has no rotation
     and scale of its own.
     """
-    bpy.context.view_layer.update()  # matrix_world lags behind location, rotation and scale set by a script
-    return similarity_as_shown(obj)
+    with shown([obj]):
+        bpy.context.view_layer.update()  # matrix_world lags behind location, rotation and scale set by a script
+        return similarity_as_shown(obj)
 
 
 def similarity_as_shown(obj: bpy.types.Object) -> tuple[Array, float, Array]:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from ..core.errors import InputError
 from .attributes import ObjectData, write_attribute
 from .object_ref import ObjectRef, object_by_uid
+from .single_user import sharers
 from .steps import Steps
 
 Array = NDArray[Any]
@@ -76,7 +77,7 @@ class GroupsAside:
         return self._target.find()
 
     def commit(self) -> bpy.types.Object:
-        """Give the object, and all that share its mesh, the new groups; gives the object.
+        """Give the object the new groups, and where others share its mesh a mesh of its own; gives the object.
 
         Raises InputError as `check` does; nothing is written then.
         """
@@ -85,14 +86,17 @@ class GroupsAside:
         old: ObjectData = obj.data
         mesh: ObjectData = aside.data
         name = old.name
-        mode = _leave_paint_mode(obj)
+        mode = leave_paint_mode(obj)
         mesh.use_fake_user = old.use_fake_user
         bpy.data.objects.remove(aside)
-        old.user_remap(mesh)
-        bpy.data.meshes.remove(old)
-        mesh.name = name
+        if sharers(obj):
+            obj.data = mesh
+        else:
+            old.user_remap(mesh)
+            bpy.data.meshes.remove(old)
+            mesh.name = name
         if mode != "OBJECT":
-            _set_mode(obj, mode)
+            set_mode(obj, mode)
         return obj
 
     def _object(self) -> bpy.types.Object:
@@ -135,14 +139,15 @@ def _add_group(obj: bpy.types.Object, name: str, column: Array) -> None:
     obj.vertex_groups[_TEMPORARY].name = name
 
 
-def _leave_paint_mode(obj: bpy.types.Object) -> str:
+def leave_paint_mode(obj: bpy.types.Object) -> str:
     """Paint modes keep pointers into the mesh. Gives the mode that the object was in."""
     mode = obj.mode
     if mode != "OBJECT":
-        _set_mode(obj, "OBJECT")
+        set_mode(obj, "OBJECT")
     return mode
 
 
-def _set_mode(obj: bpy.types.Object, mode: Any) -> None:
+def set_mode(obj: bpy.types.Object, mode: Any) -> None:
+    """Switch the object, which need not be the active one, to a mode."""
     with bpy.context.temp_override(object=obj, active_object=obj):
         bpy.ops.object.mode_set(mode=mode)

@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Collection
-from typing import Any, TypeVar
+from typing import Any
 
 import bpy
 import numpy as np
@@ -20,17 +19,14 @@ from .bone_frames import armature_of, bone_order
 from .influences import strongest, write_influences
 from .object_ref import ObjectRef
 from .rotation_nodes import frames_of
-from .steps import Steps, part_of
+from .steps import Steps, in_thread, part_of
 from .vertex_groups import GroupsAside
-from .weights import iter_read_weights
+from .weights import iter_read_weights, mark_edited
 
 Array = NDArray[Any]
-Result = TypeVar("Result")
 
 Change = Callable[[Array], Array]
 """Weights (N, B) of the armature's deform bones to new ones; runs in a thread, without Blender."""
-
-_WAIT = 0.01  # seconds that one slice waits for the thread
 
 
 def iter_edit_weights(
@@ -84,32 +80,17 @@ def iter_edit_weights(
     if active in obj.vertex_groups:
         obj.vertex_groups.active = obj.vertex_groups[active]
     write_influences(obj, bone_order(frames), bones, index, value)
+    mark_edited(obj, True)
     return count
+
+
+def locked_groups(obj: bpy.types.Object, bones: Collection[str]) -> list[str]:
+    """The bones whose vertex groups the artist has locked."""
+    return [name for name in bones if _is_locked(obj, name)]
 
 
 def _is_locked(obj: bpy.types.Object, group: str) -> bool:
     return group in obj.vertex_groups and obj.vertex_groups[group].lock_weight
-
-
-def in_thread(function: Callable[[], Result]) -> Steps[Result]:
-    """Run the function, which must not touch Blender, beside it; a slice waits a moment. Raises what it raises."""
-    result: list[Result] = []
-    raised: list[BaseException] = []
-
-    def run() -> None:
-        try:
-            result.append(function())
-        except BaseException as error:  # it is raised where the result is waited for
-            raised.append(error)
-
-    thread = threading.Thread(target=run, name="gskin", daemon=True)
-    thread.start()
-    while thread.is_alive():
-        thread.join(_WAIT)
-        yield 0.0
-    if raised:
-        raise raised[0]
-    return result[0]
 
 
 def selected_splats(obj: bpy.types.Object) -> Array:

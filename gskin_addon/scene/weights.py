@@ -16,14 +16,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
+from ..core.rig.influences import Influences
 from . import names
 from .armature import deform_bone_names
 from .attributes import write_attribute
 from .binding import bind, check_splats, set_parent
 from .bone_frames import armature_modifier, armature_of, bone_order, ensure_bone_frames
+from .compared import drop_kept, keep
 from .influences import columns_of, slice_rows, strongest, write_influences
 from .object_ref import ObjectRef, object_by_uid
 from .rotation_nodes import add_rotation, frames_of
+from .single_user import own_mesh, sharers
 from .splat_object import is_splat_object, refuse_edit_mode
 from .steps import SLICE, Steps, part_of, run_to_end, slices
 from .vertex_groups import GroupsAside, read_pairs
@@ -39,20 +42,23 @@ def write_weights(
     *,
     max_influences: int = 4,
     confidence: Array | None = None,
+    start: tuple[str, Influences] | None = None,
 ) -> None:
     """Bind `obj` to `armature` with `weights` (N, B) as vertex groups named after the bones.
 
     bones: the B bone names of the weights' columns (default: the armature's deform bones). Every splat keeps its
     `max_influences` strongest bones, normalised. Vertex groups of the armature's bones are replaced, other groups
-    stay. confidence: (N,) in 0..1, how sure the weights are; without it an earlier one is removed. One call inside
-    an operator is one undo step. The object gets a new mesh datablock in place of its own, of the same name.
+    stay. confidence: (N,) in 0..1, how sure the weights are; without it an earlier one is removed. start: what to
+    compare the weights with (`compared.py`), its name and its strongest bones; without it an earlier one is removed.
+    One call inside an operator is one undo step. The object gets a new mesh datablock in place of its own, of the same
+    name.
 
     Raises InputError: shapes that do not match, NaN, bones that the armature lacks or that do not deform,
     non-uniform object scale, an object in Edit Mode.
     """
     run_to_end(
         iter_write_weights(
-            obj, armature, weights, bones, max_influences=max_influences, confidence=confidence
+            obj, armature, weights, bones, max_influences=max_influences, confidence=confidence, start=start
         )
     )
 
@@ -65,13 +71,14 @@ def iter_write_weights(
     *,
     max_influences: int = 4,
     confidence: Array | None = None,
+    start: tuple[str, Influences] | None = None,
 ) -> Steps[None]:
     """`write_weights` in slices. Only the last one changes the scene; closing it before leaves all as it was.
 
     Raises InputError also where an object is deleted or changed meanwhile; nothing is written then.
     """
     with NewWeights(
-        obj, armature, weights, bones, max_influences=max_influences, confidence=confidence
+        obj, armature, weights, bones, max_influences=max_influences, confidence=confidence, start=start
     ) as new:
         yield from new.make()
         new.commit()
@@ -94,6 +101,7 @@ class NewWeights:
         *,
         max_influences: int = 4,
         confidence: Array | None = None,
+        start: tuple[str, Influences] | None = None,
     ) -> None:
         self._deform = deform_bone_names(armature)
         bones = list(self._deform if bones is None else bones)
@@ -101,6 +109,7 @@ class NewWeights:
         check_splats(obj)
         self._name, self._armature = obj.name, (armature.session_uid, armature.name)
         self._weights, self._confidence = weights, confidence
+        self._start, self._bones = start, bones
         place = {name: column for column, name in enumerate(bones)}
         self._columns = [place.get(name, -1) for name in self._deform]
         width = min(max_influences, len(self._deform))
@@ -152,6 +161,11 @@ class NewWeights:
             write_attribute(obj.data, names.CONFIDENCE, "FLOAT", self._confidence)
         elif names.CONFIDENCE in obj.data.attributes:
             obj.data.attributes.remove(obj.data.attributes[names.CONFIDENCE])
+        if self._start is None or carried:
+            drop_kept(obj)
+        else:
+            keep(obj, *self._start, self._bones)
+        mark_edited(obj, False)
 
     def _choose(self) -> Steps[None]:
         bones, columns = len(self._deform), np.array(self._columns)
@@ -225,7 +239,24 @@ def iter_update_rotation_weights(obj: bpy.types.Object) -> Steps[None]:
     yield from _read(ref, bones, slice_rows(len(bones)), take)
     obj = ref.find()
     frames = bind(obj, _armature_of(obj))
+    if any(bone_order(other) != bone_order(frames) for other in _frames_of_sharers(obj)):
+        own_mesh(obj)  # the bones are stored by their number, which means another bone there
     write_influences(obj, bone_order(frames), bones, index, value)
+    mark_edited(obj, True)
+
+
+def mark_edited(obj: bpy.types.Object, edited: bool) -> None:
+    """Remember whether somebody changed the weights since a job or a file gave them."""
+    mark = obj.data[names.MARK]
+    if edited:
+        mark["edited"] = True
+    elif "edited" in mark:
+        del mark["edited"]
+
+
+def is_edited(obj: bpy.types.Object) -> bool:
+    """Whether somebody changed the weights since a job or a file gave them."""
+    return bool(obj.data[names.MARK].get("edited", False))
 
 
 def follows_foreign_frames(obj: bpy.types.Object) -> bool:
@@ -241,6 +272,11 @@ def repoint_frames(obj: bpy.types.Object) -> bool:
         return False
     add_rotation(obj, ensure_bone_frames(armature), armature_modifier(obj))
     return True
+
+
+def _frames_of_sharers(obj: bpy.types.Object) -> list[bpy.types.Object]:
+    found = [frames_of(bpy.data.objects[name]) for name in sharers(obj)]
+    return [frames for frames in found if frames is not None]
 
 
 def _armature_of(obj: bpy.types.Object) -> bpy.types.Object:

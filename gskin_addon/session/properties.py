@@ -11,7 +11,7 @@ from ..core.guidance import BENCHMARK_ONLY, DEFAULT_GUIDANCE, GUIDANCE
 from ..core.job.settings import FRONTS, JobSettings
 from ..core.skinning.initial import INITIAL_WEIGHTS
 from ..core.skinning.presets import DEFAULT_PRESET, PRESETS
-from .chosen import is_armature, is_proxy, is_splats
+from .chosen import is_any_splats, is_armature, is_proxy
 from .guidance_settings import GSkinGuidance
 
 _INITIAL_TIPS = {
@@ -34,7 +34,7 @@ class GSkinSettings(bpy.types.PropertyGroup):
         name="Splats",
         description="The splat object to skin; empty: the selected one",
         type=bpy.types.Object,
-        poll=is_splats,
+        poll=is_any_splats,
     )
     armature: bpy.props.PointerProperty(
         name="Armature",
@@ -73,6 +73,12 @@ class GSkinSettings(bpy.types.PropertyGroup):
         description="The side to which the character looks; the guidance's cameras stand around it",
         items=_FRONTS,
         default=_DEFAULTS.front,
+    )
+    paintable: bpy.props.BoolProperty(
+        name="Make Paintable",
+        description="Lay a fabric under the splats, on which Blender's brushes and weight tools work. It is seen in "
+        "Weight Paint and Edit Mode only, never rendered or exported; the file grows by some 60 bytes a splat",
+        default=True,
     )
     max_influences: bpy.props.IntProperty(
         name="Max Influences",

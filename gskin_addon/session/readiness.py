@@ -11,15 +11,19 @@ import numpy as np
 
 from ..core.errors import InputError
 from ..core.job.checks import APART, SOUND, better_axis, check_overlap, overlap
+from ..core.rig.rig_scale import ABSURD
 from ..core.rig.skeleton import Skeleton
 from ..scene.follow_transforms import warning_of
-from ..scene.placement import is_placed, offset_of, up_of
+from ..scene.native_nodes import POSITION_STEPS
+from ..scene.node_groups import draws_native
+from ..scene.placement import is_placed, shift_of, up_of
 from ..scene.proxy_object import followed_armature
-from ..scene.rig_fit import SplatSample, rest_skeleton, sample_splats, scale_to_fit, to_world
+from ..scene.rig_fit import SplatSample, guess_rig_scale, rest_skeleton, sample_splats, to_world
+from ..scene.single_user import sharers
 from ..scene.splat_object import splat_count
 from ..scene.transforms import similarity_as_shown
 from . import learning_runtime
-from .chosen import chosen_armature, chosen_splats, panel_settings
+from .chosen import chosen_armature, chosen_blender_splats, chosen_splats, panel_settings
 from .preferences import job_python, worker_python
 from .running_job import state
 
@@ -27,10 +31,8 @@ State = Literal["ok", "warn", "stop"]
 
 STRAYS = 0.002
 """Share of stray splats that is worth a word."""
-SIZES = (0.3, 2.5)
-"""By how much a rig may have to be scaled before its size is doubted: it may lack a tail, or have bones for props."""
-ABSURD = (0.2, 20.0)
-"""Where its size is certainly wrong: another unit. A small rig may also stand in a large captured scene."""
+COARSE = 0.5
+"""Steps of drawn positions, in standard deviations of a splat, from which a picture shows them."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,9 @@ class Check:
     options: tuple[tuple[str, Any], ...] = ()
 
 
+MODE = "Mode"
+"""Name of the check that nothing is in Edit Mode."""
+
 _samples: dict[tuple[Any, ...], SplatSample] = {}
 _fits: dict[tuple[Any, ...], list[Check]] = {}
 _KEPT = 8
@@ -57,20 +62,25 @@ _KEPT = 8
 def checks(context: bpy.types.Context) -> list[Check]:
     """All checks of the chosen objects, in the order to mend them in. Quick: panels ask on every redraw."""
     splats, armature = chosen_splats(context), chosen_armature(context)
-    found = [_splats_check(splats), _armature_check(armature)]
+    found = [_splats_check(context, splats), _armature_check(context, armature)]
     if splats is not None and armature is not None:
         found += [_mode_check(splats, armature), _scale_check(splats, armature), *_transform_checks(splats)]
         if all(check.state == "ok" for check in found):
             found += _fit_checks(splats, armature)
+        found += [_owner_check(splats, armature)]
     found.append(_python_check(context))
     return found
 
 
-def what_is_missing(context: bpy.types.Context) -> str:
-    """What a person must do before Auto-Skin can run, or nothing. Quick: menus ask on every redraw."""
+def what_is_missing(context: bpy.types.Context, *, in_edit_mode: bool = False) -> str:
+    """What a person must do before Auto-Skin can run, or nothing. Quick: menus ask on every redraw.
+
+    in_edit_mode: Edit Mode is no obstacle, whoever asks leaves it.
+    """
     if state.job is not None:
         return "Auto-Skin is running: wait for it or cancel it"
-    return next((check.sentence for check in checks(context) if check.state == "stop"), "")
+    stops = (check for check in checks(context) if check.state == "stop")
+    return next((check.sentence for check in stops if not (in_edit_mode and check.name == MODE)), "")
 
 
 def guidance_remedy(context: bpy.types.Context) -> learning_runtime.Remedy | None:
@@ -90,16 +100,23 @@ def forget() -> None:
     _fits.clear()
 
 
-def _splats_check(splats: bpy.types.Object | None) -> Check:
+def _splats_check(context: bpy.types.Context, splats: bpy.types.Object | None) -> Check:
+    blenders = chosen_blender_splats(context)
+    if blenders is not None:
+        sentence = (
+            f"'{blenders.name}' holds Blender's own splats, which no armature moves: Auto-Skin first makes them a mesh "
+            "of the same splats (undo brings them back)"
+        )
+        return Check("Splats", "warn", sentence, "gskin.make_riggable", "Make Riggable")
     if splats is None:
         sentence = "No splats are chosen: import a Gaussian splat .ply, or select a splat object"
         return Check("Splats", "stop", sentence, "gskin.import_splats", "Import Splats...")
     return Check("Splats")
 
 
-def _armature_check(armature: bpy.types.Object | None) -> Check:
+def _armature_check(context: bpy.types.Context, armature: bpy.types.Object | None) -> Check:
     if armature is None:
-        return Check("Armature", "stop", "No armature is chosen: add one, or select it")
+        return Check("Armature", "stop", _instanced(context) or "No armature is chosen: add one, or select it")
     if not any(bone.use_deform for bone in armature.data.bones):
         sentence = f"Armature '{armature.name}' has no deform bones: turn on Deform for some"
         if not armature.data.bones or armature.mode == "EDIT":
@@ -108,11 +125,38 @@ def _armature_check(armature: bpy.types.Object | None) -> Check:
     return Check("Armature")
 
 
+def _instanced(context: bpy.types.Context) -> str:
+    """Where an armature is in the scene only as part of an instanced collection, what to do about it."""
+    for obj in context.scene.objects:
+        collection = obj.instance_collection if obj.instance_type == "COLLECTION" else None
+        rig = None if collection is None else next((o for o in collection.all_objects if o.type == "ARMATURE"), None)
+        if rig is not None:
+            linked = "Object > Library Override > Make"
+            how = linked if rig.library is not None else "Object > Apply > Make Instances Real"
+            return f"Armature '{rig.name}' is only in the instance '{obj.name}': {how}"
+    return ""
+
+
+def _owner_check(splats: bpy.types.Object, armature: bpy.types.Object) -> Check:
+    """Whether the splats can be written to, and only theirs are."""
+    if splats.library is not None or splats.data.library is not None:
+        sentence = f"'{splats.name}' is linked from another file: make it local (Object > Relations)"
+        return Check("Owner", "stop", sentence)
+    others = sharers(splats)
+    if others:
+        sentence = f"'{splats.name}' shares its mesh with '{others[0]}', and will get one of its own"
+        return Check("Owner", "warn", sentence)
+    if armature.library is not None:
+        sentence = f"Armature '{armature.name}' is linked: to pose it, make it local (Object > Relations)"
+        return Check("Owner", "warn", sentence)
+    return Check("Owner")
+
+
 def _mode_check(splats: bpy.types.Object, armature: bpy.types.Object) -> Check:
     if splats.mode == "EDIT" or armature.mode == "EDIT":
         sentence = "An object is in Edit Mode: leave it (Tab)"
-        return Check("Mode", "stop", sentence, "object.mode_set", "Leave Edit Mode", (("mode", "OBJECT"),))
-    return Check("Mode")
+        return Check(MODE, "stop", sentence, "object.mode_set", "Leave Edit Mode", (("mode", "OBJECT"),))
+    return Check(MODE)
 
 
 def _scale_check(splats: bpy.types.Object, armature: bpy.types.Object) -> Check:
@@ -169,6 +213,13 @@ def _look(
     # A rig of a wrong size lies elsewhere, too: the place is looked at when the size will do.
     if found[0].state != "stop":
         found.append(_place_check(splats, armature, points, skeleton, bound))
+    step = sample.reach / POSITION_STEPS
+    if sample.size > 0 and step > COARSE * sample.size and draws_native(splats):
+        sentence = (
+            f"A few splats lie so far off that Blender draws all others in steps of {step:.2g} (it divides the whole "
+            "extent evenly), coarser than the splats: put the far ones aside"
+        )
+        found.append(Check("Far Splats", "warn", sentence, "gskin.clean_splats", "Put Them Aside"))
     if sample.strays >= STRAYS:
         sentence = "Some splats lie off the body, and would follow bones that they have nothing to do with"
         found.append(Check("Strays", "warn", sentence, "gskin.clean_splats", "Put Them Aside"))
@@ -178,12 +229,13 @@ def _look(
 
 
 def _size_check(points: Any, skeleton: Skeleton, armature: bpy.types.Object, bound: bool) -> Check:
-    factor = scale_to_fit(points, skeleton)
-    if SIZES[0] <= factor <= SIZES[1]:
+    guess = guess_rig_scale(points, armature)
+    if guess.factor == 1.0:
         return Check("Size")
-    words = f"{factor:.3g} times too small" if factor > 1 else f"{1 / factor:.3g} times too large"
-    sentence = f"Armature '{armature.name}' is about {words} for the splats"
-    level: State = "warn" if ABSURD[0] <= factor <= ABSURD[1] else "stop"
+    factor = guess.factor
+    doubt = "" if guess.sure or factor < 1.0 else ", unless they show more than it shall move"
+    sentence = f"Armature '{armature.name}' is {guess.words} for the splats{doubt}"
+    level: State = "stop" if factor < ABSURD else "warn"
     if overlap(points, skeleton) < APART:
         level, sentence = "stop", f"{sentence}, and does not overlap them"
     if bound:
@@ -199,7 +251,8 @@ def _place_check(
     except InputError as error:
         if bound:
             return Check("Place", "stop", error.plain)
-        if is_placed(splats) and overlap(points - offset_of(splats), skeleton) >= SOUND:
+        shift = shift_of(splats)
+        if shift.any() and overlap(points - shift, skeleton) >= SOUND:
             return Check("Place", "stop", error.plain, "gskin.move_rig_to_splats", "Move the Rig to the Splats")
         _, best, _ = better_axis(points, skeleton, up_of(splats))
         if best:

@@ -1,23 +1,43 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The Auto-Skin that runs, and the outcome of the last one. Blender has one of each, so this is global."""
+"""The job that runs, and the outcome of the last one. Blender has one of each, so this is global."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
 
 import bpy
 from bpy.app.handlers import persistent
 
+from . import live_pictures
+
 if TYPE_CHECKING:
-    from .skin_job import SkinJob
+    from ..core.job.progress import ProgressEvent
+
+
+class Job(Protocol):
+    """What runs beside Blender, as panel and status bar see it."""
+
+    title: str
+    progress: ProgressEvent
+    cancelling: bool
+
+    @property
+    def seconds_left(self) -> float | None: ...
+
+    @property
+    def pictures(self) -> Path | None:
+        """Folder of the pictures that show how far it is, if it makes any."""
+
+    def cancel(self) -> None: ...
 
 
 @dataclass
 class State:
     """The job that runs, if one does, and the last one's outcome in a sentence."""
 
-    job: SkinJob | None = None
+    job: Job | None = None
     outcome: str = ""
     failed: bool = False
     details: str = ""
@@ -27,7 +47,7 @@ class State:
 state = State()
 
 
-def begin(job: SkinJob) -> None:
+def begin(job: Job) -> None:
     """`job` runs from now on."""
     state.job, state.outcome, state.failed, state.details = job, "", False, ""
 
@@ -35,6 +55,7 @@ def begin(job: SkinJob) -> None:
 def end(outcome: str, *, failed: bool = False, details: str = "") -> None:
     """No job runs any more; `details` may be a traceback of the worker."""
     state.job, state.outcome, state.failed, state.details = None, outcome, failed, details
+    live_pictures.forget()
 
 
 def stop() -> None:

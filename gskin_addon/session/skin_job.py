@@ -12,22 +12,41 @@ from pathlib import Path
 from typing import Any
 
 import bpy
+import numpy as np
+from numpy.typing import NDArray
 
 from ..core.errors import GSkinError, InputError
+from ..core.guidance import DEFAULT_GUIDANCE
 from ..core.job.contract import LOCK, Result, prepare_job
 from ..core.job.lock import job_lock
 from ..core.job.mesh_files import mesh_file
 from ..core.job.progress import ProgressEvent
+from ..core.job.scope import Scope, scope_file
+from ..core.skinning.edits.assign import normalise
+from ..core.skinning.initial import PRESENT
 from ..core.worker.client import WorkerClient
 from ..core.worker.own_python import own_python
 from ..scene import names
 from ..scene.anchored import read_world_mesh
 from ..scene.armature import read_skeleton
+from ..scene.attributes import read_attribute, write_attribute
+from ..scene.binding import bind
+from ..scene.bone_frames import armature_of
+from ..scene.compared import iter_shown, keep
+from ..scene.fabric import iter_triangles, lay_under
 from ..scene.object_ref import object_by_uid
 from ..scene.proxy_object import iter_write_weights_through
+from ..scene.seams import read_seams
+from ..scene.single_user import own_mesh, said_of, sharers
 from ..scene.splat_object import read_cloud, splat_count
-from ..scene.steps import Steps, run_to_end
-from ..scene.weights import iter_write_weights
+from ..scene.steps import Steps, part_of, run_to_end
+from ..scene.weight_edits import iter_edit_weights, locked_groups
+from ..scene.weights import is_edited, iter_write_weights, mark_edited, read_weights
+
+Array = NDArray[Any]
+
+YOURS = "your weights from before"
+"""What Compare Weights calls weights that were changed by hand before a job gave others."""
 
 KEPT_JOBS = 3
 """Stopped jobs that are kept, so that the same click goes on where it was."""
@@ -39,6 +58,8 @@ _ROOT = __package__.rpartition(".")[0]
 class SkinJob:
     """A worker busy for a splat object and an armature, known by session id because names may change."""
 
+    title = "Auto-Skin"
+
     client: WorkerClient
     splats: tuple[int, str]
     armature: tuple[int, str]
@@ -47,6 +68,8 @@ class SkinJob:
     proxy: tuple[int, str] | None = None
     anchored: bool = True
     kept: bool = False
+    only: Array | None = None
+    paintable: bool = False
     started: float = field(default_factory=time.monotonic)
     progress: ProgressEvent = field(default_factory=lambda: ProgressEvent("start"))
     progress_at: float = field(default_factory=time.monotonic)
@@ -66,13 +89,17 @@ class SkinJob:
         folder: Path | None = None,
         label: str = "",
         allow_download: bool = False,
+        only: Array | None = None,
+        paintable: bool = False,
     ) -> SkinJob:
         """Write the job of these objects at rest, in world space, and start a worker on it.
 
         With `proxy`, a mesh object, the weights are learned on its vertices and the splats are anchored to it, or
         (anchored=False) get weights of their own from it. folder: where the job is kept, also after its end; one of
-        the user's own, for the time of the run, when left out. label: what messages call the splats.
-        allow_download: the person agreed to fetch models that are missing; this run only, nothing keeps it.
+        the user's own, for the time of the run, when left out. only (N,) bool: splats whose weights may change; a
+        guidance then starts from the present ones. Not with a proxy. label: what messages call the splats.
+        allow_download: the person agreed to fetch models that are missing; this run only, nothing keeps it. paintable:
+        the splats get a fabric for Blender's weight tools.
 
         Raises:
             InputError: objects that cannot be skinned, an interpreter that cannot be started.
@@ -84,6 +111,17 @@ class SkinJob:
         if proxy is not None:
             name, arrays = mesh_file(*read_world_mesh(proxy))
             settings, files = {**settings, "mesh": name}, {name: arrays}
+        else:
+            # A mesh knows which parts belong together; loose splats need the artist's seams.
+            scope = Scope(walls=read_seams(splats))
+            if only is not None and settings["guidance"] != DEFAULT_GUIDANCE:
+                present = normalise(read_weights(splats, skeleton.names)[0])
+                scope = Scope(present, np.flatnonzero(only), scope.walls)
+                scope = scope.checked(cloud.count, skeleton.count, f"'{splats.name}'")
+                settings = {**settings, "init": PRESENT, "init_options": {}}
+            if not scope.empty:
+                name, arrays = scope_file(scope)
+                settings, files = {**settings, "scope": name}, {name: arrays}
         job = prepare_job(
             cloud,
             skeleton,
@@ -114,6 +152,8 @@ class SkinJob:
             None if proxy is None else (proxy.session_uid, proxy.name),
             anchored,
             folder is not None,
+            only,
+            paintable,
         )
 
     def wait(self, show: Callable[[ProgressEvent], None]) -> None:
@@ -161,21 +201,61 @@ class SkinJob:
                 f"'{splats.name}' had {self.count} splats when the job started, now {splat_count(splats)}; "
                 "run Auto-Skin again."
             )
-        name = armature.name
+        name, words = armature.name, ""
+        shared = said_of(splats, sharers(splats))
         options: dict[str, Any] = {"max_influences": self.max_influences, "confidence": result.confidence}
+        triangles = None
+        if self.paintable and not proxies:
+            bone = result.weights.argmax(axis=1)
+            triangles = yield from part_of(iter_triangles(splats, bone, armature), 0.0, 0.1)
         if proxies and self.anchored:
             if result.mesh_weights is None:
                 raise GSkinError("The worker gave no weights for the mesh; run Auto-Skin again.")
             weights = result.weights, result.mesh_weights
             yield from iter_write_weights_through(splats, proxies[0], armature, *weights, result.bones, **options)
+        elif self.only is not None or locked_groups(splats, result.bones):
+            words = yield from self._merge(splats, armature, result)
         else:
+            if armature_of(splats) == armature and is_edited(splats):
+                # What somebody did by hand outweighs what learning started from.
+                options["start"] = YOURS, (yield from part_of(iter_shown(splats, result.bones), 0.0, 0.0))
+            elif result.start is not None:
+                options["start"] = str(result.report.get("start") or "initial weights"), result.start
             yield from iter_write_weights(splats, armature, result.weights, result.bones, **options)
+        if triangles is not None:
+            lay_under(splats, triangles)
         if not self.kept:
             shutil.rmtree(self.client.folder, ignore_errors=True)
         seconds = time.monotonic() - self.started
-        words = f"{self.count:,} splats follow {len(result.bones)} bones of '{name}' ({seconds:.0f} s)"
+        words = words or f"{self.count:,} splats follow {len(result.bones)} bones of '{name}' ({seconds:.0f} s)"
+        words = f"{words}; {shared}" if shared else words
         summary = result.report.get("summary")
         return f"{words}; {summary}" if isinstance(summary, str) and summary else words
+
+    def _merge(self, splats: bpy.types.Object, armature: bpy.types.Object, result: Result) -> Steps[str]:
+        """Write the weights of the chosen splats and the bones that are not locked; the others stay to the bit."""
+        own_mesh(splats)
+        if armature_of(splats) != armature:
+            bind(splats, armature)
+        order = [list(result.bones).index(bone) for bone in read_skeleton(armature).names]
+        locked, before = locked_groups(splats, result.bones), None
+        if is_edited(splats):
+            before = yield from part_of(iter_shown(splats, result.bones), 0.0, 0.0)
+        count = yield from part_of(iter_edit_weights(splats, lambda _: result.weights[:, order], self.only), 0.0, 1.0)
+        if before is not None:
+            keep(splats, YOURS, before, result.bones)
+        mark_edited(splats, before is not None)
+        confidence = read_attribute(splats.data, names.CONFIDENCE)
+        if result.confidence is not None and confidence is not None:
+            new = result.confidence if self.only is None else np.where(self.only, result.confidence, confidence)
+            write_attribute(splats.data, names.CONFIDENCE, "FLOAT", new)
+        words = f"{count:,} splats of '{splats.name}' have new weights"
+        return f"{words}; {len(locked)} locked groups stayed" if locked else words
+
+    @property
+    def pictures(self) -> Path:
+        """Folder of the guidance and weights that the worker shows."""
+        return self.client.folder
 
     @property
     def seconds_left(self) -> float | None:

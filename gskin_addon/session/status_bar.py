@@ -14,7 +14,7 @@ def show(context: bpy.types.Context) -> None:
     job = state.job
     if job is not None and context.workspace is not None:
         word = "Stopping" if job.cancelling else job.progress.message or job.progress.stage
-        text = f"Auto-Skin: {word} {job.progress.fraction:.0%}, {time_left(job.seconds_left)}  (Esc cancels)"
+        text = f"{job.title}: {word} {job.progress.fraction:.0%}, {time_left(job.seconds_left)}  (Esc cancels)"
         if text == state.shown:
             return  # ten looks a second, but seldom news
         state.shown = text

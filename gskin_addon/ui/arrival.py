@@ -9,8 +9,9 @@ import bpy
 
 from ..scene import views
 from ..scene.bone_frames import armature_of
-from ..scene.placement import is_placed, up_of
+from ..scene.placement import is_placed, shift_of, up_of
 from ..session.chosen import chosen_armature, chosen_splats
+from .translations import BUTTON, tr
 
 
 def draw(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
@@ -19,19 +20,20 @@ def draw(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
     if splats is None:
         return
     placed = is_placed(splats)
-    row = layout.row(align=True)
-    row.label(text=f"{up_of(splats).upper()} up, " + ("on the floor" if placed else "where the file has it"))
+    up = tr("{axis} up, on the floor") if placed else tr("{axis} up, where the file has it")
+    layout.label(text=up.format(axis=up_of(splats).upper()))
     if armature_of(splats) is None:
+        row = layout.row(align=True)
         row.operator_menu_enum("gskin.turn_up", "up", text="Turn")
         if placed:
             row.operator("gskin.undo_placement", text="", icon="LOOP_BACK")
         else:
             row.operator("gskin.place_on_floor", text="", icon="TRIA_DOWN_BAR")
-        if placed and chosen_armature(context) is not None:
+        if shift_of(splats).any() and chosen_armature(context) is not None:
             layout.operator("gskin.move_rig_to_splats", icon="ARMATURE_DATA")
     space: Any = context.space_data
     if space is not None and space.type == "VIEW_3D" and space.shading.type == "SOLID":
         shown = views.shows_colors(space)
-        text = "Hide Splat Colors" if shown else "Show Splat Colors"
+        text = tr("Hide Splat Colors", BUTTON) if shown else tr("Show Splat Colors", BUTTON)
         layout.operator("gskin.show_splat_colors", text=text, icon="COLOR").show = not shown
 

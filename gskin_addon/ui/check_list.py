@@ -10,6 +10,7 @@ import bpy
 from ..session import learning_runtime, readiness
 from . import progress
 from .learning_runtime import draw_runtime
+from .translations import tr
 
 _ICONS = {"ok": "CHECKMARK", "warn": "INFO", "stop": "ERROR"}
 
@@ -21,16 +22,22 @@ def draw(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
     box = layout.box()
     head = box.row()
     bad = [check for check in checks if check.state != "ok"]
-    things = "1 thing" if len(bad) == 1 else f"{len(bad)} things"
     stops = any(check.state == "stop" for check in bad)
-    head.label(text="Ready" if not bad else f"{things} to mend" if stops else f"{things} to look at",
-               icon=_icon("stop" if stops else "warn" if bad else "ok"))  # fmt: skip
+    head.label(text=_summary(len(bad), stops), icon=_icon("stop" if stops else "warn" if bad else "ok"))
     head.operator("gskin.check_again", text="", icon="FILE_REFRESH", emboss=False)
     if bad:
         for check in checks:
             _draw_check(box, check, width)
     if learning_runtime.state.client is not None:
         draw_runtime(box, context)
+
+
+def _summary(count: int, stops: bool) -> str:
+    if not count:
+        return tr("Ready")
+    if count == 1:
+        return tr("1 thing to mend") if stops else tr("1 thing to look at")
+    return (tr("{count} things to mend") if stops else tr("{count} things to look at")).format(count=count)
 
 
 def _draw_check(layout: bpy.types.UILayout, check: readiness.Check, width: int) -> None:
@@ -40,7 +47,7 @@ def _draw_check(layout: bpy.types.UILayout, check: readiness.Check, width: int) 
         column.label(text=check.name, icon=_icon("ok"))
         return
     icon = _icon(check.state)
-    for text in progress.wrap(check.sentence, width):
+    for text in progress.wrap(tr(check.sentence), width):
         column.label(text=text, icon=icon)
         icon = "BLANK1"
     if check.operator:

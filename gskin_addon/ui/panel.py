@@ -12,6 +12,7 @@ from ..session.properties import GSkinSettings
 from ..session.running_job import state
 from . import arrival, check_list, guidance, progress
 from .job_presets import GSKIN_PT_job_presets
+from .translations import BUTTON, tr
 
 
 class GSKIN_PT_main(bpy.types.Panel):
@@ -46,11 +47,15 @@ class GSKIN_PT_main(bpy.types.Panel):
             row = layout.row()
             row.scale_y = 1.6
             time = expected_time(context)
-            text = f"Auto-Skin Gaussians ({time})" if time else "Auto-Skin Gaussians"
+            text = tr("Auto-Skin Gaussians", BUTTON)
+            text = f"{text} ({time.replace('about', tr('about'))})" if time else text
             row.operator("gskin.auto_skin", text=text, icon="MOD_ARMATURE")
         progress.draw(layout, context.region.width if context.region is not None else 300)
         if state.job is None:
-            progress.draw_confidence(layout, chosen_splats(context))
+            splats = chosen_splats(context)
+            progress.draw_posing(layout, splats)
+            progress.draw_comparison(layout, splats)
+            progress.draw_confidence(layout, splats)
 
     def _draw_settings(self, settings: GSkinSettings, layout: bpy.types.UILayout) -> None:
         """How the weights are made, folded away: the defaults are good."""
@@ -68,6 +73,7 @@ class GSKIN_PT_main(bpy.types.Panel):
         if settings.guidance != NO_GUIDANCE or settings.init == "visibility":
             body.prop(settings, "front")
         body.prop(settings, "max_influences")
+        body.prop(settings, "paintable")
 
     def _draw_chosen(self, context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
         """Say which objects the selection stands for, where no object is named."""
@@ -75,7 +81,7 @@ class GSKIN_PT_main(bpy.types.Panel):
         if names:
             row = layout.row()
             row.active = False
-            row.label(text="Selected: " + ", ".join(names))
+            row.label(text=tr("Selected: {names}").format(names=", ".join(names)))
 
 
 CLASSES = (GSKIN_PT_main,)

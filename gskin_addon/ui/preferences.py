@@ -8,6 +8,7 @@ import bpy
 from ..session.learning_runtime import forget
 from ..session.preferences import ROOT, checks, worker_python
 from .learning_runtime import draw_runtime
+from .translations import tr
 
 _SOURCES = [
     ("pytorch", "PyTorch", "torch from PyTorch's own index, the rest from pip's; $GSKIN_PACKAGE_INDEX comes first"),
@@ -81,9 +82,9 @@ class GSkinPreferences(bpy.types.AddonPreferences):
             if checks.warming(python):
                 layout.label(text="Compiling for the first job, a minute, once; you may go on working", icon="TIME")
         elif checks.asking(python):
-            layout.label(text=f"Asking {python} ...", icon="TIME")
+            layout.label(text=tr("Asking {python} ...").format(python=python), icon="TIME")
         else:
-            layout.label(text=f"Will use {python}")
+            layout.label(text=tr("Will use {python}").format(python=python))
 
 
 CLASSES = (GSkinPreferences,)

@@ -3,14 +3,28 @@
 
 from __future__ import annotations
 
+import textwrap
+
 import bpy
 
 from ..scene import names
 from ..scene.anchored import proxy_of
 from ..scene.display_colors import SHOW_CONFIDENCE, SHOW_WEIGHTS_OF
+from ..scene.fabric import has_fabric
 from ..scene.node_builder import has_input, input_property
-from ..scene.node_groups import DISPLAY_INPUTS, find_display
+from ..scene.node_groups import BY_SHADER, DISPLAY_INPUTS, find_display
+from ..scene.render import changes_colors
+from ..scene.viewport import switch
 from ..session.chosen import chosen_splats
+from ..session.running_job import state
+from .translations import BUTTON, tr
+
+_EDITS = (
+    (("gskin.smooth_weights", "Smooth"), ("gskin.sharpen_weights", "Sharpen")),
+    (("gskin.assign_to_bone", "To Bone"), ("gskin.flood_weights", "Flood")),
+    (("gskin.follow_neighbours", "Follow Neighbours"), ("gskin.mirror_weights", "Mirror")),
+)
+"""Changes of the weights that are there, by operator and what its button says."""
 
 
 class _Child:
@@ -36,6 +50,9 @@ class GSKIN_PT_display(_Child, bpy.types.Panel):
         column = self.layout.column()
         column.use_property_split = True
         column.use_property_decorate = False
+        _draw_true_splats(context, splats, column)
+        if changes_colors(context.scene):
+            column.operator("gskin.standard_view", icon="COLOR")
         for name in DISPLAY_INPUTS:
             if not has_input(modifier, name):
                 continue
@@ -48,6 +65,23 @@ class GSKIN_PT_display(_Child, bpy.types.Panel):
                 column.prop(owner, path, text=name)
 
 
+def _draw_true_splats(context: bpy.types.Context, splats: bpy.types.Object, layout: bpy.types.UILayout) -> None:
+    """The switch between splats and ellipsoids, and why there may be ellipsoids all the same."""
+    if switch.is_native(find_display(splats)):
+        return
+    layout.prop(context.scene, "gskin_draw_splats")
+    if not switch.setting(context.scene):
+        return
+    if switch.failure:
+        box = layout.box()
+        box.alert = True
+        box.label(text="Splats cannot be drawn; ellipsoids are:", icon="ERROR")
+        for line in textwrap.wrap(switch.failure, 48)[:4]:
+            box.label(text=line)
+    elif not has_input(find_display(splats), BY_SHADER):
+        layout.operator("gskin.renew_display", icon="FILE_REFRESH")
+
+
 class GSKIN_PT_weights(_Child, bpy.types.Panel):
     bl_idname = "GSKIN_PT_weights"
     bl_label = "Weights"
@@ -58,19 +92,27 @@ class GSKIN_PT_weights(_Child, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         column = self.layout.column()
+        column.enabled = state.job is None  # it would be about splats and weights that are no more
         row = column.row(align=True)
         row.operator("gskin.load_weights", text="Load...", icon="FILE_FOLDER")
         row.operator("gskin.save_weights", text="Save...", icon="FILE_TICK")
         column.operator("gskin.bind_to_armature", icon="LINKED")
         column.operator("gskin.update_rotation_weights", icon="FILE_REFRESH")
         column.separator()
-        grid = column.grid_flow(columns=2, even_columns=True, row_major=True, align=True)
-        grid.operator("gskin.smooth_weights", text="Smooth")
-        grid.operator("gskin.sharpen_weights", text="Sharpen")
-        grid.operator("gskin.assign_to_bone", text="To Bone")
-        grid.operator("gskin.flood_weights", text="Flood")
-        grid.operator("gskin.follow_neighbours", text="Follow Neighbours")
-        grid.operator("gskin.mirror_weights", text="Mirror")
+        for pair in _EDITS:
+            row = column.row(align=True)
+            for operator, text in pair:
+                row.operator(operator, text=tr(text, BUTTON))
+        row = column.row(align=True)
+        row.operator("gskin.separate_parts", icon="MOD_EDGESPLIT")
+        row.operator("gskin.select_seams", text="", icon="RESTRICT_SELECT_OFF")
+        row.operator("gskin.clear_seams", text="", icon="X")
+        column.operator("gskin.refine_selected", icon="MOD_ARMATURE")
+        row = column.row(align=True)
+        if chosen_splats(context).mode == "WEIGHT_PAINT" and not has_fabric(chosen_splats(context)):
+            column.label(text="Brushes need a fabric under the splats", icon="INFO")
+        row.operator("gskin.make_paintable", icon="WPAINT_HLT")
+        row.operator("gskin.remove_fabric", text="", icon="X")
         column.separator()
         if proxy_of(chosen_splats(context)) is None:
             column.operator("gskin.anchor_to_mesh", icon="MESH_DATA")
@@ -100,6 +142,7 @@ class GSKIN_PT_hygiene(_Child, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         column = self.layout.column()
+        column.enabled = state.job is None  # it would be about splats and weights that are no more
         column.operator("gskin.select_bad_splats", icon="RESTRICT_SELECT_OFF")
         column.operator("gskin.clean_splats", icon="BRUSH_DATA")
 

@@ -30,7 +30,7 @@ from gskin_addon.core.job.lock import job_lock
 from gskin_addon.core.job.progress_text import time_left
 from gskin_addon.core.worker.client import WorkerClient, WorkerError
 from gskin_addon.operators import auto_skin
-from gskin_addon.operators.auto_skin import GSKIN_OT_auto_skin, what_is_missing
+from gskin_addon.operators.auto_skin import SkinOperator, what_is_missing
 from gskin_addon.scene.splat_object import create_splat_object
 from gskin_addon.scene.weights import read_weights
 from gskin_addon.session import preferences, running_job, skin_job
@@ -426,8 +426,8 @@ class Operator:
         self.reports.append((next(iter(kind)), text))
 
 
-for name in ("modal", "cancel", "_start", "_write", "_finish", "_fail", "_leave"):
-    setattr(Operator, name, GSKIN_OT_auto_skin.__dict__[name])
+for name in ("modal", "cancel", "chosen_rows", "_start", "_write", "_finish", "_fail", "_leave"):
+    setattr(Operator, name, SkinOperator.__dict__[name])
 
 TIMER = SimpleNamespace(type="TIMER", value="NOTHING")
 ESCAPE = SimpleNamespace(type="ESC", value="PRESS")

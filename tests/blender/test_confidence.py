@@ -14,6 +14,7 @@ import gskin_addon
 from gskin_addon.commands.render import _confidence_colors
 from gskin_addon.core.errors import InputError
 from gskin_addon.scene import names
+from gskin_addon.scene.attributes import write_attribute
 from gskin_addon.scene.splat_object import create_splat_object
 from gskin_addon.scene.weights import write_weights
 
@@ -39,6 +40,20 @@ def test_selects_what_is_less_sure(splats):
     bpy.ops.object.mode_set(mode="OBJECT")
     selected = np.array([v.select for v in splats.data.vertices])
     np.testing.assert_array_equal(selected, np.linspace(0, 1, 30) < 0.25)
+
+
+@pytest.mark.parametrize(("worst", "count"), [(0, 0), (10, 3), (50, 15), (100, 30)])
+def test_selects_the_least_sure_part(splats, worst, count):
+    assert bpy.ops.gskin.select_unsure_splats(worst=worst) == {"FINISHED"}
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert [v.select for v in splats.data.vertices] == [True] * count + [False] * (30 - count)
+
+
+def test_of_equally_sure_splats_no_more_than_asked_for_are_selected(splats):
+    write_attribute(splats.data, names.CONFIDENCE, "FLOAT", np.ones(30))
+    assert bpy.ops.gskin.select_unsure_splats(worst=10) == {"FINISHED"}
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert sum(v.select for v in splats.data.vertices) == 3
 
 
 def test_colours_run_from_red_to_blue(splats):

@@ -19,8 +19,10 @@ from gskin_addon.core.rig.quaternion import quat_to_matrix
 from gskin_addon.core.splats.cloud import SH_C0, SplatCloud
 from gskin_addon.scene import names
 from gskin_addon.scene.attributes import read_attribute, read_positions
+from gskin_addon.scene.native_nodes import has_native_splats
 from gskin_addon.scene.node_builder import get_input, set_input
 from gskin_addon.scene.node_groups import (
+    NATIVE,
     OCTAHEDRA,
     VIEWPORT_SIGMAS,
     add_display,
@@ -30,7 +32,7 @@ from gskin_addon.scene.node_groups import (
 )
 from gskin_addon.scene.octahedra import ensure_octahedra, octahedra_count
 from gskin_addon.scene.render import prepare_scene, render_still
-from gskin_addon.scene.splat_object import create_splat_object
+from gskin_addon.scene.splat_object import create_splat_object as create_as_shown_first
 from gskin_addon.scene.weights import write_weights
 
 CORNERS = 6
@@ -39,6 +41,14 @@ CORNERS = 6
 @pytest.fixture(autouse=True)
 def empty():
     bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+def create_splat_object(cloud, name):
+    """Splats drawn as ellipsoids: Blender 5.3 and later draw their own at first (see `test_native_display.py`)."""
+    obj = create_as_shown_first(cloud, name)
+    if has_native_splats():
+        set_display(obj, NATIVE, False)
+    return obj
 
 
 def drawn(obj):

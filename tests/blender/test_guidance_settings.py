@@ -169,7 +169,7 @@ def test_the_worker_gets_the_options(scene, tmp_path, monkeypatch):
     (tmp_path / "klein").mkdir()
     scene.gskin.guidance = "flux_repair"
     scene.gskin.models.flux_repair.model = str(tmp_path / "klein")
-    operator = SimpleNamespace(report=lambda kind, text: pytest.fail(text))
+    operator = SimpleNamespace(report=lambda kind, text: pytest.fail(text), chosen_rows=lambda context: None)
     assert GSKIN_OT_auto_skin._start(operator, bpy.context)
     job = operator._job
     assert read_job(job.client.folder).settings["options"] == {"model": str(tmp_path / "klein")}

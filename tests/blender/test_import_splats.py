@@ -13,6 +13,7 @@ bpy = pytest.importorskip("bpy")
 import gskin_addon
 from gskin_addon.core.rig.lbs import sparsify
 from gskin_addon.core.rig.weights_file import write_weights_file
+from gskin_addon.core.splats.formats import FILE_TYPES
 from gskin_addon.core.splats.ply import write_ply
 from gskin_addon.scene.armature import read_skeleton
 from gskin_addon.scene.attributes import read_attribute
@@ -84,7 +85,7 @@ def test_invalid_splats(tmp_path):
 def test_dropped_files_find_the_operator():
     handler = bpy.types.FileHandler.bl_rna_get_subclass_py("GSKIN_FH_splats")
     assert handler.bl_import_operator == "gskin.import_splats"
-    assert handler.bl_file_extensions == ".ply"
+    assert set(handler.bl_file_extensions.split(";")) == set(FILE_TYPES)
 
 
 @pytest.fixture

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import os
 import struct
 import time
 from functools import partial
@@ -17,6 +18,8 @@ bpy = pytest.importorskip("bpy")
 import pretend
 import worker_jobs as jobs
 
+from gskin_addon.core.files import write_png
+from gskin_addon.core.rig.influences import Influences
 from gskin_addon.core.rig.weights_file import read_weights_file
 from gskin_addon.scene import names, rig_fit
 from gskin_addon.scene.anchored import proxy_of
@@ -24,7 +27,7 @@ from gskin_addon.scene.attributes import read_attribute, write_positions
 from gskin_addon.scene.proxy_object import create_mesh_object
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud
 from gskin_addon.scene.weights import read_weights, write_weights
-from gskin_addon.session import learning_runtime, preferences, readiness, running_job
+from gskin_addon.session import learning_runtime, live_pictures, preferences, readiness, running_job
 from gskin_addon.session.chosen import chosen_splats
 from gskin_addon.session.confidence import sure_share
 from gskin_addon.session.readiness import checks, what_is_missing
@@ -64,11 +67,11 @@ def click(check: readiness.Check) -> set[str]:
     return getattr(getattr(bpy.ops, group), name)(**dict(check.options))
 
 
-def bind(splats, armature, confidence=None) -> None:
+def bind(splats, armature, confidence=None, start=None) -> None:
     count = len(splats.data.vertices)
     high = np.clip(read_cloud(splats).means[:, 2] / 2, 0, 1)
     weights = np.stack([1 - high, high], axis=1).astype(np.float32)
-    write_weights(splats, armature, weights, ["lower", "upper"], confidence=confidence)
+    write_weights(splats, armature, weights, ["lower", "upper"], confidence=confidence, start=start)
     assert len(splats.data.vertices) == count
 
 
@@ -89,7 +92,8 @@ def test_a_rig_of_another_size(scene, armature, factor):
     assert f"times too {'small' if factor < 1 else 'large'}" in check.sentence
     assert check.operator == "gskin.fix_rig_scale"
     assert click(check) == {"FINISHED"}
-    assert armature.scale[0] == pytest.approx(0.9, rel=0.1)
+    # Units are mended exactly; 0.2 is none, there the bones get the size of the splats.
+    assert armature.scale[0] == (pytest.approx(0.9, rel=0.1) if factor == 0.2 else pytest.approx(1.0))
     assert bad() == []
     assert bpy.ops.gskin.auto_skin.poll()
 
@@ -328,6 +332,10 @@ class Layout:
         assert 0 <= factor <= 1
         self.drawn.append(text)
 
+    def template_icon(self, *, icon_value, scale) -> None:
+        assert isinstance(icon_value, int)
+        self.drawn.append("picture")
+
     def separator(self) -> None:
         pass
 
@@ -374,7 +382,7 @@ def test_problems_are_drawn_with_their_clicks(scene, armature):
     armature.scale = (100, 100, 100)
     lines = drawn()
     assert "1 thing to mend" in lines
-    assert any(line.startswith("gskin.fix_rig_scale: Scale the Rig by 0.00") for line in lines)
+    assert any(line.startswith("gskin.fix_rig_scale: Scale the Rig by 0.01") for line in lines)
     scene.gskin.splats = None
     assert "gskin.import_splats: Import Splats..." in drawn()
 
@@ -388,17 +396,43 @@ def test_the_buttons_options_are_the_checks(scene, monkeypatch):
     assert made.up == "y"
 
 
-def test_a_running_job_hides_checks_and_button(scene):
-    bpy.context.scene.gskin.splats = bpy.data.objects["Rod"]
-    job = SimpleNamespace(
+def running(folder) -> SimpleNamespace:
+    """A job half done in `folder`."""
+    return SimpleNamespace(
         progress=SimpleNamespace(fraction=0.5, message="Weights", stage="initial", losses={"l1": 0.1}),
-        seconds_left=3.0, cancelling=False, cancel=lambda: None,
+        seconds_left=3.0, cancelling=False, cancel=lambda: None, pictures=folder,
     )  # fmt: skip
-    running_job.begin(job)
+
+
+def test_a_running_job_hides_checks_and_button(scene, tmp_path):
+    bpy.context.scene.gskin.splats = bpy.data.objects["Rod"]
+    running_job.begin(running(tmp_path))
     lines = drawn()
     assert "50%  0:03 left" in lines
     assert "gskin.cancel_auto_skin" in lines
     assert not any(line.startswith(("gskin.auto_skin", "Ready")) for line in lines)
+
+
+def test_a_running_job_shows_its_newest_pictures(scene, tmp_path):
+    running_job.begin(running(tmp_path))
+    assert not [line for line in drawn() if line.startswith("picture")]
+    (tmp_path / "previews").mkdir()
+    write_png(tmp_path / "previews" / "guidance.png", np.zeros((8, 8, 3)))
+    first = live_pictures.icons(tmp_path)
+    assert [name for name, _ in first] == ["Guidance"]
+    assert live_pictures.icons(tmp_path) == first, "read again only when it is another"
+    write_png(tmp_path / "previews" / "weights.png", np.ones((8, 8, 3)))
+    lines = drawn()
+    assert lines[place(lines, "picture") :][:4] == ["picture", "Guidance", "picture", "Weights"]
+    stamp = (tmp_path / "previews" / "guidance.png").stat().st_mtime_ns
+    write_png(tmp_path / "previews" / "guidance.png", np.full((6, 4, 3), 0.5))
+    os.utime(tmp_path / "previews" / "guidance.png", ns=(stamp, stamp + 1000))
+    live_pictures.icons(tmp_path)
+    shown = live_pictures._loaded["guidance"]
+    assert tuple(shown.image_size) == (4, 6), "a picture of the same second is another one"
+    running_job.end("done")
+    assert live_pictures._loaded is None
+    assert not [line for line in drawn() if line.startswith("picture")]
 
 
 def test_confidence_is_a_bar(scene, splats, armature):
@@ -408,6 +442,47 @@ def test_confidence_is_a_bar(scene, splats, armature):
     assert "75% of the splats are sure" in drawn()
     bind(splats, armature, confidence=np.ones(2000, np.float32))
     assert sure_share(splats) == 1.0
+
+
+def test_where_all_are_sure_the_panel_tells_the_least_sure_apart(scene, splats, armature):
+    sure = np.linspace(0.6, 1.0, 2000, dtype=np.float32)
+    start = "bone heat", Influences.strongest(np.full((2000, 2), 0.5, np.float32))
+    bind(splats, armature, confidence=sure, start=start)
+    lines = drawn()
+    assert not any("are sure" in line for line in lines)
+    assert {"Least sure 1%: below 60%", "Least sure 5%: below 62%", "Least sure 10%: below 64%"} <= set(lines)
+    assert "Half of them: above 80%" in lines
+    bpy.ops.gskin.compare_weights(show="BEFORE")  # these numbers are not about the weights that are shown now
+    assert not any("Least sure" in line for line in drawn())
+
+
+def test_the_two_sides_of_the_weights_are_a_toggle(scene, splats, armature):
+    assert "gskin.compare_weights: Bone heat" not in drawn()
+    bind(splats, armature, start=("bone heat", Influences.strongest(np.full((2000, 2), 0.5, np.float32))))
+    lines = drawn()
+    row = place(lines, "gskin.compare_weights: Bone heat")
+    assert lines[row : row + 2] == ["gskin.compare_weights: Bone heat", "gskin.compare_weights: Learned"]
+
+
+def test_a_click_leads_to_the_rig(scene, splats, armature):
+    assert "gskin.pose_rig" not in drawn()
+    with pytest.raises(RuntimeError, match="follow an armature"):
+        bpy.ops.gskin.pose_rig()
+    bind(splats, armature)
+    bpy.context.view_layer.objects.active = splats
+    splats.select_set(True)
+    assert "gskin.pose_rig" in drawn()
+    assert bpy.ops.gskin.pose_rig() == {"FINISHED"}
+    assert (bpy.context.mode, bpy.context.active_object) == ("POSE", armature)
+    assert armature.show_in_front
+    assert not splats.select_get()
+    assert "gskin.pose_rig" not in drawn()
+    with pytest.raises(RuntimeError, match="Pose Mode already"):
+        bpy.ops.gskin.pose_rig()
+    bpy.ops.object.mode_set(mode="OBJECT")
+    armature.hide_set(True)
+    with pytest.raises(RuntimeError, match="'Rig' is hidden"):
+        bpy.ops.gskin.pose_rig()
 
 
 def test_the_weights_panel_has_a_click_for_each_way(scene, splats, armature):
@@ -440,6 +515,19 @@ def test_what_cannot_work_now_says_why(scene, operator, words):
     assert not click.poll()
     with pytest.raises(RuntimeError, match=words):
         click()
+
+
+@pytest.mark.parametrize("operator", ["load_weights", "bind_to_armature", "update_rotation_weights", "save_weights"])
+def test_weights_wait_for_the_end_of_edit_mode(scene, splats, armature, operator):
+    bind(splats, armature)
+    bpy.context.view_layer.objects.active = splats
+    bpy.ops.object.mode_set(mode="EDIT")
+    click = getattr(bpy.ops.gskin, operator)
+    assert not click.poll()
+    with pytest.raises(RuntimeError, match="Leave Edit Mode"):
+        click()
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert click.poll()
 
 
 def test_placing_in_another_mode_says_why(scene, armature):

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import worker_jobs as jobs
 from PIL import Image
+from splat_clouds import random_cloud
 
 import gskin_addon
 from gskin_addon import cli
@@ -23,6 +24,7 @@ from gskin_addon.commands.pose import parse_turns
 from gskin_addon.core.errors import Cancelled, GSkinError, InputError, Stopped
 from gskin_addon.core.job.progress import ProgressEvent
 from gskin_addon.core.job.progress_text import ProgressPrinter, describe
+from gskin_addon.core.splats.formats import read_splats
 from gskin_addon.core.splats.ply import write_ply
 
 PROGRAM = Path(gskin_addon.__file__).with_name("cli.py")
@@ -78,7 +80,8 @@ def test_help_and_version_exit_0(capsys):
     ("changed", "word"),
     [
         ({"splats": "none.ply"}, "does not exist"),
-        ({"splats": "rod.splat"}, "no .ply"),
+        ({"splats": "rod.lcc"}, "splat-transform"),
+        ({"splats": "rod.splat"}, "32"),
         ({"out": "out.fbx"}, ".blend or .glb"),
         ({"out": "nowhere/out.blend"}, "make"),
         ({"weights": "w.txt"}, ".npz"),
@@ -94,6 +97,8 @@ def test_bad_input_exits_2_before_blender_is_needed(changed, word, rod, tmp_path
     monkeypatch.setattr(rig, "require_bpy", lambda: pytest.fail("bad input must be seen first"))
     mesh = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
     (tmp_path / "mesh.ply").write_text(mesh + "element face 0\nproperty list uchar int i\nend_header\n0 0 0\n")
+    (tmp_path / "rod.lcc").write_bytes(b"a capture")
+    (tmp_path / "rod.splat").write_bytes(b"no splats")
     (tmp_path / "cut.ply").write_bytes(rod.read_bytes()[:-100])
     cloud = jobs.rod(300)[0]
     cloud.means[7, 1] = np.nan
@@ -142,6 +147,26 @@ def test_verbose_tells_where(monkeypatch, capsys):
     monkeypatch.setattr(render, "run", lambda options: 1 / 0)
     assert cli.main(["render", "a.ply", "--out", "o.png", "--verbose"]) == 1
     assert "Traceback" in capsys.readouterr().err
+
+
+def test_convert_turns_axes_where_formats_say_them(tmp_path, capsys):
+    """As splat-transform does: what has no rule has -y up."""
+    cloud = random_cloud(30, 1)
+    write_ply(tmp_path / "a.ply", cloud)
+    assert cli.main(["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.glb")]) == 0
+    assert "30 splats" in capsys.readouterr().err
+    turned = read_splats(tmp_path / "b.glb").cloud
+    np.testing.assert_allclose(turned.means, cloud.means * [1, -1, -1], atol=1e-6)
+    assert cli.main(["convert", str(tmp_path / "b.glb"), str(tmp_path / "c.ply")]) == 0
+    np.testing.assert_allclose(read_splats(tmp_path / "c.ply").cloud.sh, cloud.sh, atol=1e-5)
+    arguments = ["convert", str(tmp_path / "a.ply"), str(tmp_path / "d.splat")]
+    assert cli.main(arguments) == 0
+    np.testing.assert_array_equal(read_splats(tmp_path / "d.splat").cloud.means, cloud.means)
+    assert cli.main([*arguments, "--up", "z"]) == 0
+    np.testing.assert_allclose(read_splats(tmp_path / "d.splat").cloud.means, cloud.means[:, [0, 2, 1]] * [1, -1, 1])
+    assert cli.main(["convert", str(tmp_path / "a.ply"), str(tmp_path / "a.ply")]) == 2
+    assert cli.main(["convert", str(tmp_path / "a.ply"), str(tmp_path / "a.usd")]) == 2
+    assert not (tmp_path / "a.usd").exists()
 
 
 def test_render_draws_a_ply(rod, tmp_path):

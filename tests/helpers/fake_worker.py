@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from gskin_addon.core.job.mesh_files import read_mesh
+from gskin_addon.core.rig.influences import Influences
 from gskin_addon.core.worker import job_runner, supervisor
 
 
@@ -56,20 +57,23 @@ def act(cloud: Any, skeleton: Any, settings: dict[str, Any], progress: Any, chec
         settings = {"first": first}
     weights = np.zeros((cloud.count, skeleton.count), np.float32)
     weights[:, 0] = 1.0
+    start = None
     if what == "heights":  # from bone 0 to bone 1 along the last tenth below and the first above bone 1's head
         share = np.clip((cloud.means[:, 2] - skeleton.heads[1, 2]) / 0.2 + 0.5, 0, 1)
         weights[:, 0], weights[:, 1] = 1 - share, share
+        half = np.full((cloud.count, 2), 0.5, np.float32)
+        start = Influences(np.zeros_like(half, np.int32) + [0, 1], half)
     print("chatter on stdout")
     os.system("echo chatter of a child")
     progress("steps", 0.5, {"l1": 0.25, "bad": float("nan")}, "half")
-    report = {"settings": settings, "loss": np.float32(0.5), "curve": np.array([1.0, np.inf])}
+    report = {"start": "bone heat", "settings": settings, "loss": np.float32(0.5), "curve": np.array([1.0, np.inf])}
     previews = {"rest": np.full((4, 6, 3), 0.5)}
     on_mesh = None
     if settings.get("mesh"):
         on_mesh = np.zeros((len(read_mesh(checkpoint.parent / settings["mesh"])[0]), skeleton.count), np.float32)
         on_mesh[:, 0] = 1.0
     return SimpleNamespace(
-        weights=weights, report=report, previews=previews, mesh_weights=on_mesh, confidence=None
+        weights=weights, report=report, previews=previews, mesh_weights=on_mesh, confidence=None, start=start
     )
 
 

@@ -21,6 +21,7 @@ from blenders import SUITES, Blender, find_blenders
 from installing import check_repository
 from judging import Check, judge
 from offscreen import VERSION, check_viewport
+from splat_pictures import judge_splats
 from version_venv import Missing, make
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -39,16 +40,17 @@ def main() -> int:
     parser.add_argument("--preset", default="standard", help="preset of the job (default: standard)")
     parser.add_argument("--background", action="store_true", help="only what needs no window")
     parser.add_argument("--viewport", action="store_true", help=f"only the 3D view of bpy {VERSION}")
+    parser.add_argument("--splats", action="store_true", help="only the drawing of splats in windows")
     parser.add_argument("--pictures", action="store_true", help="renew docs/images")
     options = parser.parse_args()
-    splats, rig = sample(options.demo.absolute())
+    splats, rig = sample(options.demo.absolute(), rigged=not options.splats)
     blenders = [] if options.viewport else find_blenders(options.suite)
     verdicts: dict[str, list[Check] | str] = {}
     for blender in blenders:
         out = fresh(options.out.absolute() / f"window-{blender.name}")
         print(f"\nBlender of {blender.name}", flush=True)
         verdicts[f"Blender of {blender.name}"] = play(blender, out, splats, rig, options)
-    if not (options.background or options.suite or os.environ.get("BLENDER")):
+    if not (options.background or options.splats or options.suite or os.environ.get("BLENDER")):
         verdicts[f"3D view of bpy {VERSION}"] = check_viewport(fresh(options.out.absolute() / "viewport"), splats)
     print()
     for name, checks in verdicts.items():
@@ -75,6 +77,8 @@ def play(blender: Blender, out: Path, splats: Path, rig: Path, options: argparse
     install = [blender.program, "--command", "extension", "install-file", "-r", "user_default", "-e", str(archive)]
     if blender.run(install, environment, LONGEST) != 0:
         return [("Blender installs the extension", False, "its words are above")]
+    if options.splats:
+        return play_splats(blender, out / "splats", splats, environment)
     plain = [blender.program, "-b", "--python-exit-code", "1", "--python", str(ROOT / "tests/window/background.py")]
     if blender.run([*plain, "--", "--out", str(out), "--splats", str(splats)], environment, LONGEST) != 0:
         return [("the extension works without a window", False, "Blender's words are above")]
@@ -95,6 +99,7 @@ def play(blender: Blender, out: Path, splats: Path, rig: Path, options: argparse
     checks = [*first, *played]
     if code != 0:
         checks.append(("Blender ends well", False, f"exit code {code}"))
+    checks += play_splats(blender, out / "splats", splats, environment)
     if options.pictures and all(good for _, good, _ in checks):
         images = ROOT / "docs" / "images"
         images.mkdir(parents=True, exist_ok=True)
@@ -103,18 +108,36 @@ def play(blender: Blender, out: Path, splats: Path, rig: Path, options: argparse
     return checks
 
 
+def play_splats(blender: Blender, out: Path, splats: Path, environment: dict[str, str]) -> list[Check]:
+    """True splats in a window: the sample's, and where it is there a real capture's; pictures below `out`."""
+    words = ["--out", str(fresh(out)), "--splats", str(splats)]
+    folder = Path(os.environ.get("GSKIN_ASSETS", ROOT.parent / "shared" / "assets")).absolute() / "splats"
+    capture, rig = folder / "pc_biker.ply", folder / "pc_biker_rig.glb"
+    if capture.is_file() and rig.is_file():
+        words += ["--capture", str(capture), "--capture-rig", str(rig)]
+    session = [
+        *("xvfb-run", "-a", "-s", SCREEN, blender.program),
+        *("--window-geometry", "0", "0", "1600", "900", "--python", str(ROOT / "tests/window/splats.py"), "--"),
+    ]
+    code = blender.run([*session, *words], environment, LONGEST, [folder])
+    checks = judge_splats(out)
+    if checks is None:
+        return [("the splats' session comes to its end", False, f"Blender ended with {code}; its words are above")]
+    return checks if code == 0 else [*checks, ("Blender ends well after drawing splats", False, f"exit code {code}")]
+
+
 def build_zip(out: Path) -> Path:
     """The archive as `make zip` makes it."""
     subprocess.check_call([sys.executable, str(ROOT / "tools/build_zip.py"), "--out", str(out)], stdout=sys.stderr)
     return next(out.glob("gskin_addon-*.zip"))
 
 
-def sample(demo: Path) -> tuple[Path, Path]:
-    """The demo's character; modelled now where `make demo` has not run."""
+def sample(demo: Path, *, rigged: bool = True) -> tuple[Path, Path]:
+    """The demo's character and its rig, which is made readable if `rigged`; modelled where `make demo` has not run."""
     splats, rig = demo / "brindle.ply", demo / "brindle_rig.blend"
     if not (splats.is_file() and rig.is_file()):
         subprocess.check_call([sys.executable, "-m", "demo", "--out", str(demo), "--character-only"], cwd=ROOT)
-    return splats, readable(rig)
+    return splats, readable(rig) if rigged else rig
 
 
 def readable(rig: Path) -> Path:

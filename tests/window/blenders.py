@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -21,12 +22,14 @@ class Blender:
     def __init__(self, name: str, program: str, debian: Path | None) -> None:
         self.name, self.program, self.debian = name, program, debian
 
-    def run(self, words: list[str], environment: dict[str, str], timeout: float) -> int:
-        """Run a command where Blender is; returns its exit code."""
+    def run(
+        self, words: list[str], environment: dict[str, str], timeout: float, folders: Sequence[Path] = ()
+    ) -> int:
+        """Run a command where Blender is, which sees the project and `folders`; returns its exit code."""
         if self.debian is None:
             return subprocess.call(words, env={**os.environ, **environment}, timeout=timeout, cwd=ROOT)
         command = [str(DEBIAN), "run", str(self.debian)]
-        for path in self._shown():
+        for path in [*self._shown(), *(folder for folder in folders if folder.is_dir())]:
             command += ["-b", str(path)]
         command += ["--", *(f"{name}={value}" for name, value in environment.items()), *words]
         return subprocess.call(command, timeout=timeout, cwd=ROOT)

@@ -7,7 +7,8 @@ asked:
     skeleton.json   deform bones, world space (Skeleton.to_json)
 answered:
     weights.npz     weights (N,B) float32, rows sum to 1; bones (B,), heads (B,3), tails (B,3), parents (B,);
-                    with a proxy mesh also mesh_weights (V,B) of its vertices; where known also confidence (N,)
+                    with a proxy mesh also mesh_weights (V,B) of its vertices; where known also confidence (N,),
+                    and start_bones, start_weights (N,K): what was there before learning
     previews/*.png  pictures of the result
     report.json     what was done and measured; written last, so a folder with it is finished
 meanwhile:
@@ -32,6 +33,7 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..files import disk_error, is_plain_name, read_arrays, write_arrays, write_json, write_png, write_text
 from ..guidance.options import deciding
+from ..rig.influences import Influences
 from ..rig.skeleton import Skeleton
 from ..rig.weights_file import read_weights_file, write_weights_file
 from ..splats.cloud import SplatCloud
@@ -70,6 +72,7 @@ class Result:
     report: numbers and words of report.json; previews: picture files by name.
     mesh_weights: (V, B) float32 of the proxy mesh's vertices, where the job had one.
     confidence: (N,) float32 in 0..1, how sure the weights of each splat are, where the method knows.
+    start: what the weights were before learning, where there was any; the report says under "start" what they are.
     """
 
     weights: NDArray[np.float32]
@@ -81,6 +84,7 @@ class Result:
     previews: dict[str, Path]
     mesh_weights: NDArray[np.float32] | None = None
     confidence: NDArray[np.float32] | None = None
+    start: Influences | None = None
 
 
 @dataclass(frozen=True)
@@ -228,11 +232,12 @@ def write_result(
     previews: Mapping[str, NDArray[Any]],
     mesh_weights: NDArray[Any] | None = None,
     confidence: NDArray[Any] | None = None,
+    start: Influences | None = None,
 ) -> None:
     """Write a job's answer: weights, pictures by name ((H, W, 3) in 0..1), and the report last of all."""
     if len(weights) != job.cloud.count:
         raise ValueError(f"{len(weights)} rows of weights for {job.cloud.count} splats")
-    write_weights_file(job.folder / WEIGHTS, weights, job.skeleton, mesh_weights, confidence)
+    write_weights_file(job.folder / WEIGHTS, weights, job.skeleton, mesh_weights, confidence, start)
     pictures = job.folder / PREVIEWS
     try:
         pictures.mkdir(exist_ok=True)

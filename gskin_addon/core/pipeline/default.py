@@ -8,6 +8,7 @@ from .eta import Eta, Report
 from .result import SkinResult
 from .steps import (
     JobInputs,
+    finish_start,
     finish_weights,
     guidance_cameras,
     initial_weights,
@@ -30,7 +31,7 @@ def run(job: JobInputs, report: Report) -> SkinResult:
         cameras = guidance_cameras(job, splats.cloud)
         _, masks = rest_pictures(learning_subset(job, splats, cameras).cloud, cameras)
     eta.record("splats")
-    initial, confidence = initial_weights(job, splats, masks, cameras, eta)
+    initial, confidence, start = initial_weights(job, splats, masks, cameras, eta)
     eta.record_up_to("initial", 1.0)
     eta.end_stage("initial")
 
@@ -38,6 +39,10 @@ def run(job: JobInputs, report: Report) -> SkinResult:
     weights = finish_weights(job, splats, initial.copy())
     eta.end_stage("finish")
     change = weight_change(weights, initial)
+    more = {} if start is None else {"start": "bone heat"}
     return SkinResult(
-        weights, job_report(job, splats, weights, change, confidence, eta, {}), confidence=confidence
+        weights,
+        job_report(job, splats, weights, change, confidence, eta, more),
+        confidence=confidence,
+        start=None if start is None else finish_start(job, splats, start),
     )

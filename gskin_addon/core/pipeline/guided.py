@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..rig.influences import Influences
 from ..skinning import subset as subsets
 from .eta import Eta, Report
 from .guided_stage import GuidedStage, work_kinds
@@ -12,6 +13,7 @@ from .previews import preview_images
 from .result import SkinResult
 from .steps import (
     JobInputs,
+    finish_start,
     finish_weights,
     guidance_cameras,
     initial_weights,
@@ -35,7 +37,7 @@ def run(job: JobInputs, report: Report) -> SkinResult:
     poser = stage.try_out_on_splats(subset, splats.skeleton, cameras, images, masks)
     del images
 
-    initial, confidence = initial_weights(job, splats, masks, cameras, eta)
+    initial, confidence, _ = initial_weights(job, splats, masks, cameras, eta)
     eta.record_up_to("initial", 1.0)
     eta.end_stage("initial")
     nodes = initial[subset.index]
@@ -59,10 +61,11 @@ def run(job: JobInputs, report: Report) -> SkinResult:
     if confidence is not None:
         # Where the images disagree with what was known, neither is certain.
         confidence = np.clip(confidence * (1 - change), 0, 1).astype(np.float32)
-    more = {**stage.report(len(subset.index)), **learned.report}
+    more = {**stage.report(len(subset.index)), **learned.report, "start": f"initial weights ({job.settings.init})"}
     return SkinResult(
         weights,
         job_report(job, splats, weights, change, confidence, eta, more),
         previews,
         confidence=confidence,
+        start=finish_start(job, splats, Influences.strongest(initial)),
     )

@@ -27,7 +27,9 @@ from ..skinning.presets import Preset, preset_by_name
 from ..skinning.subset import SplatSubset
 from ..skinning.views import Target
 from .eta import Eta
+from .live_pictures import LivePictures
 from .optimise_loop import make_guidance, optimise, try_out
+from .previews import weights_picture
 from .proxy import Proxy
 from .steps import JobInputs
 from .work_kinds import rendering_kinds
@@ -35,6 +37,9 @@ from .work_kinds import rendering_kinds
 TRIAL_POSES = 8
 """Poses of each view in a try-out. A view renders what it sees in any of them: with 6 the try-outs of `paper` took
 0.40 s, with 15 they took 0.60 s, the run itself 0.5 s an iteration."""
+
+LIVE_SIZE = 256
+"""Width and height of pictures of the weights while they are learned: icons in a panel."""
 
 Pictures = Sequence[NDArray[Any]]
 Masks = NDArray[np.bool_]
@@ -115,11 +120,13 @@ class GuidedStage:
         initial: Weights,
         confidence: NDArray[np.float32] | None,
         movable: NDArray[np.bool_] | None = None,
+        on_splats: Callable[[Weights], Weights] = lambda weights: weights,
     ) -> Learned:
         """Weights of the nodes from the images of the job's guidance.
 
         poser: from a try-out; nodes (M, B): its nodes' initial weights; initial (S, B): those of the subset's splats;
-        confidence (M,) in the nodes' initial weights, or None; movable (M,): nodes that may change, all if left out.
+        confidence (M,) in the nodes' initial weights, or None; movable (M,): nodes that may change, all if left out;
+        on_splats: from weights (M, B) of the nodes to those (S, B) of the subset's splats, to show them.
         """
         chosen, preset, eta = self.job.settings, self.preset, self.eta
         eta.report("guidance", "Distances through the body")
@@ -155,11 +162,19 @@ class GuidedStage:
                 rasterizer=self.rasterizer,
             ),
         )
-        targets = make_guidance(create_provider(chosen.guidance, context), [*signals, *unseen], eta)
+        pictures = LivePictures(self.job.folder)
+        targets = make_guidance(create_provider(chosen.guidance, context), [*signals, *unseen], eta, pictures)
         eta.end_stage("guidance")
 
         optimiser = begin(targets[: len(signals)], preset, held_out=targets[len(signals) :])
-        history = optimise(optimiser, eta, self.job.checkpoint)
+        small = cameras[0].resized(LIVE_SIZE)
+
+        def watch() -> bool:
+            return pictures.show(
+                "weights", lambda: weights_picture(subset.cloud, on_splats(optimiser.weights()), small)
+            )
+
+        history = optimise(optimiser, eta, self.job.checkpoint, watch)
         eta.end_stage("optimise")
         report = {
             "field": self._field_name(),

@@ -73,6 +73,7 @@ def run(job: JobInputs, report: Report) -> SkinResult:
             nodes=nodes,
             initial=initial[subset.index],
             confidence=nodes_confidence,
+            on_splats=lambda weights: proxy.to_splats(weights)[subset.index],
         )
     eta.report("finish", "Weights of all splats")
     weights = finish_weights(job, splats, proxy.to_splats(learned.weights))

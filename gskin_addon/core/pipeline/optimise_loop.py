@@ -6,7 +6,8 @@ from __future__ import annotations
 import copy
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,8 @@ from ..skinning.optimise import Optimiser
 from ..skinning.presets import Preset
 from ..skinning.views import Target
 from .eta import Eta
+from .live_pictures import LivePictures
+from .previews import guidance_picture
 from .work_kinds import checks_of, learning_kind, visibility_kind
 
 TRIALS = 3
@@ -54,19 +57,29 @@ def try_out(optimiser: Optimiser, eta: Eta, images: int) -> None:
             eta.record_trial(learning_kind(size))
 
 
-def make_guidance(provider: Any, signals: Sequence[ControlSignal], eta: Eta) -> list[Target]:
-    targets = []
+def make_guidance(
+    provider: Any, signals: Sequence[ControlSignal], eta: Eta, pictures: LivePictures | None = None
+) -> list[Target]:
+    """The provider's images, one for each signal; `pictures` shows one now and then."""
+    targets: list[Target] = []
     images = provider.images(signals)
     for number, signal in enumerate(signals):
         targets.append(Target(signal.camera, signal.transforms, next(images)))
         # The first one waits for whatever the provider must load or compute beforehand.
         eta.record("guidance" if number else "first image")
         eta.report("guidance", f"Guidance image {number + 1} of {len(signals)}")
+        if pictures is not None and pictures.show("guidance", partial(guidance_picture, signal, targets[-1])):
+            eta.forget()
     return targets
 
 
-def optimise(optimiser: Optimiser, eta: Eta, checkpoint: Path) -> list[dict[str, float]]:
-    """Run to the end, from the checkpoint if there is one; returns the losses of about 50 iterations."""
+def optimise(
+    optimiser: Optimiser, eta: Eta, checkpoint: Path, watch: Callable[[], bool] = lambda: False
+) -> list[dict[str, float]]:
+    """Run to the end, from the checkpoint if there is one; returns the losses of about 50 iterations.
+
+    watch: called after each iteration, for those who draw the weights now and then; true where it took time.
+    """
     iterations = optimiser.preset.iterations
     history, remark = _load(optimiser, checkpoint)
     if remark:
@@ -98,6 +111,8 @@ def optimise(optimiser: Optimiser, eta: Eta, checkpoint: Path) -> list[dict[str,
             cost = saved - begun
             eta.forget()
         eta.report("optimise", f"Iteration {number + 1} of {iterations}", parts)
+        if watch():
+            eta.forget()
     optimiser.use_best()
     return history
 

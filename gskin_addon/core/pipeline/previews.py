@@ -34,8 +34,7 @@ def preview_images(
     """`weights`: splats in their bones' colours, from all cameras; `guidance`: for some poses the control
     points, the dynamic mask, the guidance image, and the splats posed with initial and learned weights; left out
     where there was no guidance."""
-    colored = replace(cloud, sh=((weight_colors(weights) - 0.5) / SH_C0)[:, None, :].astype(np.float32))
-    sheet = np.concatenate([render_cloud(colored, camera)[0] for camera in cameras], axis=1)
+    sheet = np.concatenate([weights_picture(cloud, weights, camera) for camera in cameras], axis=1)
     if not signals:
         return {"weights": sheet}
     rows = []
@@ -49,6 +48,17 @@ def preview_images(
         control = draw_points(shaded, signal.handles, signal.targets)
         rows.append(np.concatenate([control, target.image / 255.0, before, after], axis=1))
     return {"weights": sheet, "guidance": np.concatenate(rows)}
+
+
+def weights_picture(cloud: SplatCloud, weights: NDArray[Any], camera: Camera) -> Image:
+    """The splats in the colours of their bones, mixed by weights (N, B)."""
+    colors = ((weight_colors(weights) - 0.5) / SH_C0)[:, None, :].astype(np.float32)
+    return render_cloud(replace(cloud, sh=colors), camera)[0]
+
+
+def guidance_picture(signal: ControlSignal, target: Target) -> Image:
+    """A guidance image with the points that asked for it: where they were in blue, where they shall be in red."""
+    return draw_points(target.image / 255.0, signal.handles, signal.targets)
 
 
 def draw_points(image: Image, handles: NDArray[Any], targets: NDArray[Any]) -> Image:

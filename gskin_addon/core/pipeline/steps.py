@@ -16,10 +16,11 @@ from ..job.scope import Scope, read_scope
 from ..job.settings import FRONTS, JobSettings
 from ..render.backends import AUTO, resolve_backend
 from ..render.camera import Camera, paper_views, percentile_bounds
+from ..rig.influences import Influences
 from ..rig.lbs import sparsify
 from ..rig.skeleton import Skeleton
 from ..skinning.extent import unit_frame
-from ..skinning.initial import PRESENT, initial_with_confidence
+from ..skinning.initial import PRESENT, initial_with_start
 from ..skinning.subset import SplatSubset, follow_nearest
 from ..splats.cleanup import Cleanup
 from ..splats.cloud import SplatCloud
@@ -135,8 +136,9 @@ def initial_weights(
     masks: NDArray[np.bool_] | None,
     cameras: Sequence[Camera],
     eta: Eta,
-) -> tuple[Weights, NDArray[np.float32] | None]:
-    """Initial weights (N, B) of all splats and their confidence (N,), where the method knows it.
+) -> tuple[Weights, NDArray[np.float32] | None, Influences | None]:
+    """Initial weights (N, B) of all splats, their confidence (N,), where the method knows it, and what the method
+    itself started from, where it has learned.
 
     masks (V, H, W): of the object in each camera; for methods that need them (`needs_masks`). Splats that the job may
     not change keep their present weights.
@@ -145,13 +147,13 @@ def initial_weights(
     if job.settings.init == PRESENT:
         if job.scope.present is None:
             raise ValueError("JobInputs.read refuses this")
-        return job.scope.present.copy(), None
+        return job.scope.present.copy(), None, None
 
     def tick(fraction: float) -> None:
         eta.record_up_to("initial", fraction)
         eta.report("initial", "Initial weights")
 
-    weights, confidence = initial_with_confidence(
+    weights, confidence, start = initial_with_start(
         job.settings.init,
         splats.cloud,
         splats.skeleton,
@@ -161,7 +163,7 @@ def initial_weights(
         walls=job.scope.walls,
         tick=tick,
     )
-    return keep_present(job.scope, weights), confidence
+    return keep_present(job.scope, weights), confidence, start
 
 
 def keep_present(scope: Scope, weights: Weights) -> Weights:
@@ -179,6 +181,18 @@ def finish_weights(job: JobInputs, splats: PreparedSplats, weights: Weights) -> 
     if job.settings.max_influences:
         weights = sparsify(weights, job.settings.max_influences)
     return keep_present(job.scope, weights)
+
+
+def finish_start(job: JobInputs, splats: PreparedSplats, start: Influences) -> Influences:
+    """`finish_weights` for what the weights were before learning, so that only the learning differs."""
+    numbers: Any = np.arange(len(start.index))[:, None]
+    own = follow_nearest(splats.cloud.means, numbers, splats.ignored)[:, 0]
+    start = start.rows(own)
+    if job.scope.only is not None and job.scope.present is not None:
+        still = np.flatnonzero(~job.scope.movable(len(own)))
+        kept = Influences.strongest(job.scope.present[still], start.index.shape[1])
+        start.index[still], start.value[still] = kept.index, kept.value
+    return start
 
 
 def weight_change(weights: Weights, initial: Weights) -> Weights:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pinhole cameras in OpenCV axes (x right, y down, z forward), and the views that the method uses.
+"""Cameras in OpenCV axes (x right, y down, z forward), and the views that the method uses.
 
 Pixel (column i, row j) covers [i, i+1) x [j, j+1); its centre is (i + 0.5, j + 0.5). The world is Z-up and
 right-handed, in metres.
@@ -31,6 +31,7 @@ class Camera:
     """A pinhole camera: `rotation` (3,3) and `translation` (3,) take world to camera axes (x = R p + t).
 
     fx, fy, cx, cy, width and height are in pixels. Nothing nearer than `near` (metres, along z) is drawn.
+    With `orthographic` all rays run along z, and fx and fy are pixels for each metre.
     """
 
     rotation: NDArray[np.float64]
@@ -42,6 +43,7 @@ class Camera:
     width: int
     height: int
     near: float = 0.01
+    orthographic: bool = False
 
     @property
     def center(self) -> NDArray[np.float64]:
@@ -70,7 +72,7 @@ class Camera:
         """
         p = self.to_camera(points)
         depth = p[..., 2]
-        z = np.where(depth > self.near, depth, np.nan)
+        z = np.where(depth > self.near, 1.0 if self.orthographic else depth, np.nan)
         pixels = np.stack([self.fx * p[..., 0] / z + self.cx, self.fy * p[..., 1] / z + self.cy], axis=-1)
         return pixels, depth
 

@@ -23,6 +23,10 @@ def image_axes(means: Tensor, quats: Tensor, scales: Tensor, camera: Camera) -> 
     W = torch.as_tensor(camera.rotation, dtype=means.dtype, device=means.device)
     p = means @ W.T + torch.as_tensor(camera.translation, dtype=means.dtype, device=means.device)
     x, y, z = p.unbind(-1)
+    if camera.orthographic:
+        pixels = torch.stack([camera.fx * x + camera.cx, camera.fy * y + camera.cy], -1)
+        J = torch.tensor([[camera.fx, 0.0, 0.0], [0.0, camera.fy, 0.0]], dtype=means.dtype, device=means.device)
+        return pixels, z, J @ W @ (quat_to_matrix(quats) * scales[:, None, :])
     pixels = torch.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], -1)
     edge_x, edge_y = 0.15 * camera.width / camera.fx, 0.15 * camera.height / camera.fy
     u = (x / z).clamp(-camera.cx / camera.fx - edge_x, (camera.width - camera.cx) / camera.fx + edge_x)

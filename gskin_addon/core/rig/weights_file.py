@@ -2,7 +2,8 @@
 """Skinning weights as a file, with the bones that they belong to: an .npz without pickled objects.
 
 weights (N, B) float32, rows sum to 1; bones (B,) names; heads, tails (B, 3) and parents (B,); where there are such
-also mesh_weights (V, B) of a proxy mesh's vertices, and confidence (N,) in 0..1.
+also mesh_weights (V, B) of a proxy mesh's vertices, confidence (N,) in 0..1, and what the weights started from:
+start_bones, start_weights (N, K), the strongest bones of each splat.
 """
 
 from __future__ import annotations
@@ -16,10 +17,11 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..files import read_arrays, write_arrays
+from .influences import Influences
 from .skeleton import Skeleton
 
 _ARRAYS = ("weights", "bones", "heads", "tails", "parents")
-_OPTIONAL = ("mesh_weights", "confidence")
+_OPTIONAL = ("mesh_weights", "confidence", "start_bones", "start_weights")
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,7 @@ class WeightsFile:
 
     weights: (N, B) float32, rows sum to 1. bones: B names. heads, tails: (B, 3) float64 metres, world space.
     parents: (B,) index, -1 for a root. mesh_weights: (V, B) float32, or None. confidence: (N,) float32 in 0..1,
-    or None.
+    or None. start: the weights before learning, or None.
     """
 
     weights: NDArray[np.float32]
@@ -38,6 +40,7 @@ class WeightsFile:
     parents: NDArray[np.int64]
     mesh_weights: NDArray[np.float32] | None = None
     confidence: NDArray[np.float32] | None = None
+    start: Influences | None = None
 
 
 def write_weights_file(
@@ -46,11 +49,13 @@ def write_weights_file(
     skeleton: Skeleton,
     mesh_weights: NDArray[Any] | None = None,
     confidence: NDArray[Any] | None = None,
+    start: Influences | None = None,
 ) -> None:
-    """Write `weights` (N, B), `mesh_weights` (V, B), `confidence` (N,), with the bones they belong to.
+    """Write `weights` (N, B), `mesh_weights` (V, B), `confidence` (N,), `start`, with the bones they belong to.
 
     Raises:
-        ValueError: not (N, B), not finite, negative, or rows that do not sum to 1 (1e-3); confidence not (N,) in 0..1.
+        ValueError: not (N, B), not finite, negative, or rows that do not sum to 1 (1e-3); confidence not (N,) in 0..1;
+            a start of another shape or other bones.
         GSkinError: the file cannot be written.
     """
     arrays = {"weights": weights} if mesh_weights is None else {"weights": weights, "mesh_weights": mesh_weights}
@@ -63,9 +68,16 @@ def write_weights_file(
         if fault:
             raise ValueError(fault)
         arrays["confidence"] = confidence
+    before: dict[str, NDArray[Any]] = {}
+    if start is not None:
+        fault = start.fault(len(weights), skeleton.count)
+        if fault:
+            raise ValueError(fault)
+        before = {"start_bones": start.index.astype(np.int32), "start_weights": start.value.astype(np.float32)}
     write_arrays(
         Path(path),
         {
+            **before,
             **{name: np.ascontiguousarray(values, dtype=np.float32) for name, values in arrays.items()},
             "bones": np.array(skeleton.names, dtype=np.str_),
             "heads": np.asarray(skeleton.heads, dtype=np.float64),
@@ -100,6 +112,10 @@ def read_weights_file(path: str | Path) -> WeightsFile:
     fault = "" if confidence is None else _fault_in_confidence(confidence, len(arrays["weights"]))
     if fault:
         raise InputError(f"'{path}' has a damaged confidence ({fault}); make it again with gskin.")
+    start = _start(arrays)
+    fault = "" if start is None else start.fault(len(arrays["weights"]), skeleton.count)
+    if fault:
+        raise InputError(f"'{path}' has damaged weights to start from ({fault}); make it again with gskin.")
     return WeightsFile(
         weights=arrays["weights"].astype(np.float32, copy=False),
         bones=skeleton.names,
@@ -108,7 +124,13 @@ def read_weights_file(path: str | Path) -> WeightsFile:
         parents=skeleton.parents,
         mesh_weights=None if on_mesh is None else on_mesh.astype(np.float32, copy=False),
         confidence=None if confidence is None else confidence.astype(np.float32, copy=False),
+        start=start,
     )
+
+
+def _start(arrays: dict[str, NDArray[Any]]) -> Influences | None:
+    index, value = arrays.get("start_bones"), arrays.get("start_weights")
+    return None if index is None or value is None else Influences(index, value)
 
 
 def _fault_in(weights: NDArray[Any], bones: int) -> str:

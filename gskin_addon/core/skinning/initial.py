@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..rig.influences import Influences
 from ..rig.skeleton import Skeleton
 from ..splats.cloud import SplatCloud
 from ..ticks import Tick, silent, stretch
@@ -222,3 +223,24 @@ def initial_with_confidence(
     if name not in INITIAL_WEIGHTS:
         raise InputError(f"No initial weights are called '{name}'; choose {' or '.join(INITIAL_WEIGHTS)}.")
     return INITIAL_WEIGHTS[name](cloud, skeleton, masks, cameras, options or {}, walls, tick)
+
+
+def initial_with_start(
+    name: str,
+    cloud: SplatCloud,
+    skeleton: Skeleton,
+    masks: Array | None,
+    cameras: Sequence[Camera],
+    options: Mapping[str, Any] | None = None,
+    *,
+    walls: Array | None = None,
+    tick: Tick = silent,
+) -> tuple[Array, Array | None, Influences | None]:
+    """As `initial_with_confidence`, and what a method that has learned started from: for "learned" its bone heat."""
+    if name != "learned":
+        given = cloud, skeleton, masks, cameras, options
+        return *initial_with_confidence(name, *given, walls=walls, tick=tick), None
+    from .learned.predict import learned_weights_and_heat
+
+    model = (options or {}).get("model")
+    return learned_weights_and_heat(cloud, skeleton, Path(model) if model else None, walls=walls, tick=tick)

@@ -9,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import InputError
+from ..ticks import Steps
 from .cloud import AnyArray, FloatArray, Floats, SplatCloud
+from .loaded import pieces
 from .sh import rotate_sh
 
 _UP_ROTATIONS = {
@@ -76,4 +78,22 @@ def rotate_cloud(cloud: SplatCloud, R: Floats) -> SplatCloud:
         quats=turn_quats(rotation_quat(R), cloud.quats),
         sh=rotate_sh(cloud.sh, R),
         extra=extra,
+        offset=R @ cloud.offset,
+        up="",
     )
+
+
+def rotate_in_place(cloud: SplatCloud, R: Floats) -> Steps[SplatCloud]:
+    """`rotate_cloud` piece by piece, into the arrays of `cloud` itself, which must be nobody else's."""
+    R = np.asarray(R, dtype=np.float64)
+    if np.array_equal(R, np.eye(3)):
+        return cloud
+    for rows in pieces(cloud.count):
+        turned = rotate_cloud(cloud.select(rows), R)
+        for name in ("means", "quats", "sh"):
+            getattr(cloud, name)[rows] = getattr(turned, name)
+        for name in _NORMAL:
+            if name in cloud.extra:
+                cloud.extra[name][rows] = turned.extra[name]
+        yield rows.stop / cloud.count
+    return replace(cloud, offset=R @ cloud.offset, up="")

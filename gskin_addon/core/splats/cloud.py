@@ -33,6 +33,10 @@ class SplatCloud:
     stored:    columns as a file held them (log scale, logit opacity, unnormalised quaternion, doubles), each
                (N,). The writer prefers them wherever they still decode to the values above, so that reading
                and writing loses nothing. Empty for clouds that came from no file.
+    offset:    (3,) float64: means + offset are the file's coordinates, along the cloud's axes. Not zero where
+               these lie so far from the origin that float32 could not tell splats apart (`georeference.py`).
+    notes:     what a reader changed or assumed, for the person: clauses without a full stop.
+    up:        the axis of `axes.UP_AXES` that the file itself says is up, "" where it does not.
 
     Arrays are converted to float32; wrong shapes raise ValueError.
     """
@@ -44,8 +48,14 @@ class SplatCloud:
     sh: FloatArray
     extra: Mapping[str, AnyArray] = field(default_factory=dict)
     stored: Mapping[str, AnyArray] = field(default_factory=dict)
+    offset: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    notes: tuple[str, ...] = ()
+    up: str = ""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "offset", np.asarray(self.offset, dtype=np.float64))
+        if self.offset.shape != (3,):
+            raise ValueError(f"offset has shape {self.offset.shape}, expected (3,)")
         for name in ("means", "quats", "scales", "opacities", "sh"):
             object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=np.float32))
         count = len(self.means)

@@ -72,3 +72,9 @@ def fallback_color(cloud: SplatCloud) -> NDArray[np.uint16]:
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     rgba = np.concatenate([linear, np.clip(cloud.opacities[:, None], 0.0, 1.0)], axis=1)
     return np.round(rgba * 65535.0).astype(np.uint16)
+
+
+def linear_to_srgb(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The sRGB curve (IEC 61966-2-1), the other way than `fallback_color` goes; below 0 its straight part goes on."""
+    curve = 1.055 * np.maximum(values, 0.0031308) ** (1.0 / 2.4) - 0.055
+    return np.where(values <= 0.0031308, 12.92 * values, curve)

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Generator, Iterator
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -16,33 +16,25 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..files import write_atomically
+from ..ticks import run_to_end
 from . import ply_codec as codec
 from .cloud import AnyArray, SplatCloud
+from .georeference import recentre
+from .loaded import LoadedSplats, Reading, finish, opened
 from .ply_compressed import is_compressed, read_compressed
 from .ply_header import FORMATS, TYPE_NAMES, Element, Header, format_header, read_header
+from .ply_kinds import notes_of
 
 _CHUNK = 8192
 """Rows handled at once: small enough that a piece of the file stays in the processor's cache."""
 
+_LINES = 1024
+"""Rows of text handled at once, which take fifty times as long."""
+
 _COMPLETE = "export it with all properties of 3D Gaussian splats"
-_INVALID = "NaN, infinite or zero-rotation values"
 
 
-@dataclass(frozen=True)
-class PlySplats:
-    """What was read: the cloud, the file row of each of its splats (N,), and the file's number of rows."""
-
-    cloud: SplatCloud
-    kept: NDArray[np.int64]
-    total: int
-
-    @property
-    def dropped(self) -> int:
-        """Number of the file's splats that were left out as invalid."""
-        return self.total - self.cloud.count
-
-
-def read_ply(path: str | os.PathLike[str], *, drop_invalid: bool = False) -> PlySplats:
+def read_ply(path: str | os.PathLike[str], *, drop_invalid: bool = False) -> LoadedSplats:
     """Read a Gaussian splat .ply file: INRIA layout (any property order, SH degree 0-4, ascii or binary), or
     the compressed layout of PlayCanvas and SuperSplat.
 
@@ -52,30 +44,19 @@ def read_ply(path: str | os.PathLike[str], *, drop_invalid: bool = False) -> Ply
     Raises InputError: no such file, not a PLY, no Gaussian splats in it, missing properties, cut off, no
     splats, invalid splats.
     """
-    path = Path(path)
-    try:
-        with path.open("rb") as file:
-            header = read_header(file, path)
-            if is_compressed(header):
-                cloud, valid = read_compressed(file, header, path)
-            else:
-                vertex, rest = _splat_element(header, path)
-                cloud, valid = _read_splats(file, header, vertex, rest, path)
-    except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror or error}); check the path.") from error
-    total = cloud.count
-    bad = total - int(np.count_nonzero(valid))
-    if bad == total:
-        raise InputError(f"{path}: all {bad} splats have {_INVALID}; export it again.")
-    if bad and not drop_invalid:
-        raise InputError(
-            f"{path}: {bad} of {total} splats have {_INVALID}; "
-            "read it with Drop Invalid Splats to leave them out.",
-            terminal="drop_invalid=True, --drop-invalid",
-        )
-    if bad:
-        return PlySplats(cloud.select(valid), np.flatnonzero(valid), total)
-    return PlySplats(cloud, np.arange(total), total)
+    return run_to_end(read_ply_pieces(Path(path), drop_invalid))
+
+
+def read_ply_pieces(path: Path, drop_invalid: bool) -> Reading:
+    """`read_ply` piece by piece."""
+    with opened(path) as (file, _):
+        header = read_header(file, path)
+        if is_compressed(header):
+            cloud, valid = yield from read_compressed(file, header, path)
+        else:
+            vertex, rest = _splat_element(header, path)
+            cloud, valid = yield from _read_splats(file, header, vertex, rest, path)
+    return (yield from finish(path, cloud, valid, drop_invalid))
 
 
 def write_ply(path: str | os.PathLike[str], cloud: SplatCloud, *, fmt: str = "binary_little_endian") -> None:
@@ -88,7 +69,7 @@ def write_ply(path: str | os.PathLike[str], cloud: SplatCloud, *, fmt: str = "bi
     if fmt not in FORMATS:
         raise InputError(f"{fmt!r} is no PLY format; use one of {', '.join(FORMATS)}.")
     if cloud.count == 0:
-        raise InputError(f"{path}: there are no splats to write; select at least one.")
+        raise InputError(f"'{path}': there are no splats to write; select at least one.")
     rest = 3 * (cloud.sh.shape[1] - 1)
     dtype = _file_dtype(cloud, rest, FORMATS[fmt])
 
@@ -105,41 +86,44 @@ def _splat_element(header: Header, path: Path) -> tuple[Element, int]:
     """The vertex element of a splat file and its number of f_rest properties; InputError for other files."""
     vertex = header.element("vertex")
     if vertex is None:
-        raise InputError(f"{path} has no vertices; choose a Gaussian splat .ply file.")
+        raise InputError(f"'{path}' has no vertices; choose a Gaussian splat .ply file.")
     names = set(vertex.properties)
-    missing = [name for name in codec.REQUIRED if name not in names]
+    # Discs have two scales, balls one; a gap among them is a damaged file.
+    last = max((place for place, name in enumerate(codec.SCALES) if name in names), default=2)
+    needed = [name for name in codec.REQUIRED if name not in codec.SCALES[last + 1 :]]
+    missing = [name for name in needed if name not in names]
     face = header.element("face")
     is_mesh = face is not None and face.count > 0
     if missing and (is_mesh or names.isdisjoint(codec.REQUIRED[3:])):
         kind = "a mesh" if is_mesh else "a point cloud"
         raise InputError(
-            f"{path} is {kind}, not Gaussian splats (no {', '.join(missing[:6])}, ...); "
+            f"'{path}' is {kind}, not Gaussian splats (no {', '.join(missing[:6])}, ...); "
             "choose a .ply file from a 3D Gaussian splatting program."
         )
     if missing:
-        raise InputError(f"{path} lacks the splat properties {', '.join(missing)}; {_COMPLETE}.")
+        raise InputError(f"'{path}' lacks the splat properties {', '.join(missing)}; {_COMPLETE}.")
     if vertex.lists:
         raise InputError(
-            f"{path} has list properties in its vertices ({', '.join(vertex.lists)}); export it without them."
+            f"'{path}' has list properties in its vertices ({', '.join(vertex.lists)}); export it without them."
         )
     rest = sum(name.startswith("f_rest_") for name in names)
     gaps = [name for name in codec.rest_names(rest) if name not in names]
     if gaps:
-        raise InputError(f"{path} lacks the splat properties {', '.join(gaps[:5])}; {_COMPLETE}.")
+        raise InputError(f"'{path}' lacks the splat properties {', '.join(gaps[:5])}; {_COMPLETE}.")
     if rest not in codec.REST_COUNTS:
         counts = ", ".join(map(str, codec.REST_COUNTS))
-        raise InputError(f"{path} has {rest} f_rest properties, not {counts} (degree 0-4); export it again.")
+        raise InputError(f"'{path}' has {rest} f_rest properties, not {counts} (degree 0-4); export it again.")
     if vertex.count == 0:
-        raise InputError(f"{path} has no splats; export it again.")
+        raise InputError(f"'{path}' has no splats; export it again.")
     return vertex, rest
 
 
 def _read_splats(
     file: BinaryIO, header: Header, vertex: Element, rest: int, path: Path
-) -> tuple[SplatCloud, NDArray[np.bool_]]:
+) -> Generator[float, None, tuple[SplatCloud, NDArray[np.bool_]]]:
     """All splats with their raw and extra columns, and True (N,) where a splat is valid."""
     pieces = _ascii_pieces if header.format == "ascii" else _binary_pieces
-    standard = set(codec.standard_names(rest)) - set(codec.NORMALS)
+    standard = {*codec.standard_names(rest), codec.FILTER} - set(codec.NORMALS)
     source = pieces(file, header, vertex, path)
     piece: AnyArray | None = next(source)  # checks the file's length before anything large is made
     cloud = codec.empty_cloud(vertex.count, rest)
@@ -150,24 +134,29 @@ def _read_splats(
             extra[name] = np.empty(vertex.count, code)
         elif codec.is_lossy(name, code):
             stored[name] = np.empty(vertex.count, code)
+    text = header.format == "ascii"
+    # Text may have more digits than its type says; centres need them far from the origin.
+    doubles = {name: np.empty(vertex.count) for name in codec.MEANS if text and name not in stored}
     valid = np.empty(vertex.count, dtype=bool)
     start = 0
     while piece is not None:
         rows = slice(start, start + len(piece))
         columns = {name: np.ascontiguousarray(piece[name]) for name in vertex.properties}
         valid[rows] = codec.decode_rows(columns, cloud, rows, rest)
-        for table in (extra, stored):
+        for table in (extra, stored, doubles):
             for name, column in table.items():
                 column[rows] = columns[name]
         start += len(piece)
+        yield start / vertex.count
         piece = next(source, None)
-    cloud = SplatCloud(cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.sh, extra, stored)
-    return cloud, valid
+    cloud = replace(cloud, extra=extra, stored=stored, notes=notes_of(vertex.properties))
+    doubles.update({name: stored[name] for name in codec.MEANS if name in stored})
+    return recentre(cloud, [doubles.get(name) for name in codec.MEANS], path), valid
 
 
 def _truncated(path: Path, expected: int, found: int) -> InputError:
     return InputError(
-        f"{path} is cut off: its header announces {expected} splats, the file holds {found}; "
+        f"'{path}' is cut off: its header announces {expected} splats, the file holds {found}; "
         "copy or export it again."
     )
 
@@ -178,7 +167,7 @@ def _binary_pieces(file: BinaryIO, header: Header, vertex: Element, path: Path) 
     for element in header.before(vertex.name):
         if element.lists:
             raise InputError(
-                f"{path} has lists ({element.name}) before its vertices; export it with the vertices first."
+                f"'{path}' has lists ({element.name}) before its vertices; export it with the vertices first."
             )
         offset += element.count * element.dtype(header.order).itemsize
     dtype = vertex.dtype(header.order)
@@ -191,16 +180,17 @@ def _binary_pieces(file: BinaryIO, header: Header, vertex: Element, path: Path) 
 
 
 def _ascii_pieces(file: BinaryIO, header: Header, vertex: Element, path: Path) -> Iterator[AnyArray]:
-    """The vertex rows of an ascii file as structured arrays of at most _CHUNK rows."""
+    """The vertex rows of an ascii file as structured arrays of at most _LINES rows."""
     size = os.fstat(file.fileno()).st_size - header.offset
     possible = size // (2 * len(vertex.properties)) + 1  # a value takes a digit and a separator
     if vertex.count > possible:
         raise _truncated(path, vertex.count, possible)
     for _ in islice(file, sum(element.count for element in header.before(vertex.name))):
         pass
-    dtype = vertex.dtype("=")
-    for start in range(0, vertex.count, _CHUNK):
-        wanted = min(_CHUNK, vertex.count - start)
+    codes = vertex.properties.items()
+    dtype = np.dtype([(name, "f8" if name in codec.MEANS else code) for name, code in codes])
+    for start in range(0, vertex.count, _LINES):
+        wanted = min(_LINES, vertex.count - start)
         lines = [line.decode("latin-1") for line in islice(file, wanted)]
         table = _parse_lines(lines, len(vertex.properties), start, path)
         if len(table) < wanted:
@@ -228,7 +218,7 @@ def _parse_lines(lines: list[str], columns: int, start: int, path: Path) -> NDAr
         words = line.split()
         if len(words) != columns:
             raise InputError(
-                f"{path}: splat {start + index} has {len(words)} values, expected {columns}; "
+                f"'{path}': splat {start + index} has {len(words)} values, expected {columns}; "
                 "the file is cut off or damaged, export it again."
             )
         for word in words:
@@ -236,18 +226,19 @@ def _parse_lines(lines: list[str], columns: int, start: int, path: Path) -> NDAr
                 float(word)
             except ValueError:
                 raise InputError(
-                    f"{path}: splat {start + index} holds {word[:20]!r}, not a number; export the file again."
+                    f"'{path}': splat {start + index} holds {word[:20]!r}, not a number; export the file again."
                 ) from None
-    raise InputError(f"{path} has vertex lines that cannot be read as numbers; export it again.")
+    raise InputError(f"'{path}' has vertex lines that cannot be read as numbers; export it again.")
 
 
 def _file_dtype(cloud: SplatCloud, rest: int, order: str) -> np.dtype[Any]:
     """Row type of the file: INRIA order in float32 (doubles stay doubles), then the extra columns."""
     fields = []
     names = codec.standard_names(rest)
+    far = cloud.offset.any()
     for name in names:
         column = cloud.stored.get(name) if name not in codec.NORMALS else cloud.extra.get(name)
-        is_double = column is not None and column.dtype.str[1:] == "f8"
+        is_double = (far and name in codec.MEANS) or (column is not None and column.dtype.str[1:] == "f8")
         fields.append((name, order + ("f8" if is_double else "f4")))
     for name, column in cloud.extra.items():
         if name not in names:

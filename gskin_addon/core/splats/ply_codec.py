@@ -16,8 +16,13 @@ NORMALS = ("nx", "ny", "nz")
 COLOR = ("f_dc_0", "f_dc_1", "f_dc_2")
 SCALES = ("scale_0", "scale_1", "scale_2")
 QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
+FILTER = "filter_3D"
+"""Mip-Splatting's smoothing filter (a standard deviation), where it was not fused into scales and opacity."""
 REQUIRED = (*MEANS, *COLOR, "opacity", *SCALES, *QUATS)
-"""Properties that every 3DGS file has; normals and f_rest_* may be missing."""
+"""Properties that every 3DGS file has; normals and f_rest_* may be missing, and of the scales the last ones."""
+
+THIN = 1e-3
+"""Thickness of a splat that its file has as a flat disc (2DGS: two scales), over the smaller of its two scales."""
 
 REST_COUNTS = tuple(3 * ((degree + 1) ** 2 - 1) for degree in range(MAX_SH_DEGREE + 1))
 """Number of f_rest_* properties of degree 0, 1, 2, 3, 4."""
@@ -84,9 +89,11 @@ def decode_quats(raw: NDArray[Any]) -> FloatArray:
 def decode_rows(
     columns: Mapping[str, AnyArray], cloud: SplatCloud, rows: slice, rest: int
 ) -> NDArray[np.bool_]:
-    """Fill `rows` of `cloud` from raw columns; True (M,) where every raw and decoded value is finite.
+    """Fill `rows` of `cloud` from raw columns; True (M,) where every decoded value is finite.
 
-    A quaternion of norm 0 counts as not finite.
+    A quaternion of norm 0 counts as not finite. A logit opacity of +-inf is opacity 1 or 0, a log scale of -inf is
+    size 0. Two scales are a disc of the thickness `THIN`, one is a ball. A column `FILTER` is fused: s' = sqrt(s^2 +
+    f^2), and the opacity times sqrt(det / det') (Mip-Splatting, Yu et al. 2024, `create_fused_ply`).
     """
     with np.errstate(over="ignore"):
         for axis, name in enumerate(MEANS):
@@ -96,16 +103,31 @@ def decode_rows(
         bands = rest // 3
         for index, name in enumerate(rest_names(rest)):
             cloud.sh[rows, 1 + index % bands, index // bands] = columns[name]
-    for axis, name in enumerate(SCALES):
-        cloud.scales[rows, axis] = decode_scale(columns[name])
+    present = [name for name in SCALES if name in columns]
+    sizes = np.stack([decode_scale(columns[name]) for name in present], axis=1)
     cloud.opacities[rows] = decode_opacity(columns["opacity"])
+    if FILTER in columns:
+        sizes, kept = _fuse(sizes, columns[FILTER])
+        cloud.opacities[rows] *= kept
+    cloud.scales[rows, : len(present)] = sizes
+    if len(present) == 2:
+        cloud.scales[rows, 2] = THIN * sizes.min(axis=1)
+    elif len(present) == 1:
+        cloud.scales[rows, 1:] = sizes
     cloud.quats[rows] = decode_quats(np.stack([columns[name] for name in QUATS], axis=1))
-    valid = np.isfinite(columns["opacity"])
-    for name in SCALES:
-        valid &= np.isfinite(columns[name])
+    valid = np.isfinite(cloud.opacities[rows])
     for values in (cloud.means, cloud.scales, cloud.quats, cloud.sh.reshape(cloud.count, -1)):
         valid &= np.isfinite(values[rows]).all(axis=1)
     return valid
+
+
+def _fuse(sizes: FloatArray, raw: AnyArray) -> tuple[FloatArray, FloatArray]:
+    """Scales (M, k) widened by the filters (M,), and what the opacities must be multiplied by (M,)."""
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        wide = np.hypot(sizes.astype(np.float64), raw.astype(np.float64)[:, None])
+        kept = np.where(wide > 0.0, sizes / wide, 1.0).prod(axis=1)
+        kept[np.isnan(raw)] = np.nan
+        return wide.astype(np.float32), kept.astype(np.float32)
 
 
 def is_lossy(name: str, code: str) -> bool:
@@ -118,7 +140,7 @@ def encode_rows(cloud: SplatCloud, rows: slice, rest: int) -> dict[str, AnyArray
     part = cloud.select(rows)
     columns: dict[str, AnyArray] = {}
     for axis, name in enumerate(MEANS):
-        columns[name] = _stored_or(part, name, part.means[:, axis])
+        columns[name] = _encode_mean(part, name, axis)
     for channel, name in enumerate(COLOR):
         columns[name] = _stored_or(part, name, part.sh[:, 0, channel])
     bands = rest // 3
@@ -141,6 +163,18 @@ def encode_rows(cloud: SplatCloud, rows: slice, rest: int) -> dict[str, AnyArray
     for axis, name in enumerate(QUATS):
         columns[name] = quats[:, axis]
     return columns
+
+
+def _encode_mean(part: SplatCloud, name: str, axis: int) -> AnyArray:
+    """Coordinates as the file has them: in double precision where the cloud has an offset."""
+    means, offset = part.means[:, axis], part.offset[axis]
+    if not part.offset.any():
+        return _stored_or(part, name, means)
+    whole: AnyArray = means.astype(np.float64) + offset
+    if name in part.stored:
+        raw = part.stored[name]
+        return np.where((raw - offset).astype(np.float32) == means, raw, whole)
+    return whole
 
 
 def _stored_or(part: SplatCloud, name: str, values: FloatArray) -> AnyArray:

@@ -9,6 +9,7 @@ f_rest value.
 from __future__ import annotations
 
 import os
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -20,13 +21,13 @@ from .cloud import SH_C0, AnyArray, SplatCloud
 from .ply_codec import REST_COUNTS, decode_scale, empty_cloud, rest_names
 from .ply_header import Element, Header
 
-_PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
+PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 _RANGES = tuple(
     f"{end}_{axis}" for axis in ("x", "y", "z", "scale_x", "scale_y", "scale_z") for end in ("min", "max")
 )
-_ROWS_PER_CHUNK = 256
-_PIECE = 32 * _ROWS_PER_CHUNK
-_SH_RANGE = 8.0
+ROWS_PER_CHUNK = 256
+_PIECE = 32 * ROWS_PER_CHUNK
+SH_RANGE = 8.0
 """Harmonics are stored between -4 and 4."""
 
 Values = NDArray[np.float64]
@@ -36,15 +37,17 @@ def is_compressed(header: Header) -> bool:
     """Whether the header announces the compressed layout."""
     vertex = header.element("vertex")
     return (
-        vertex is not None and header.element("chunk") is not None and set(_PACKED) <= set(vertex.properties)
+        vertex is not None and header.element("chunk") is not None and set(PACKED) <= set(vertex.properties)
     )
 
 
-def read_compressed(file: BinaryIO, header: Header, path: Path) -> tuple[SplatCloud, NDArray[np.bool_]]:
+def read_compressed(
+    file: BinaryIO, header: Header, path: Path
+) -> Generator[float, None, tuple[SplatCloud, NDArray[np.bool_]]]:
     """All splats, and True (N,) where a splat is valid; InputError where the file is damaged."""
     if header.format != "binary_little_endian":
         raise InputError(
-            f"{path} is a compressed .ply in {header.format}; export it again as binary little endian."
+            f"'{path}' is a compressed .ply in {header.format}; export it again as binary little endian."
         )
     vertex, chunk, sh = header.element("vertex"), header.element("chunk"), header.element("sh")
     assert vertex is not None
@@ -52,19 +55,20 @@ def read_compressed(file: BinaryIO, header: Header, path: Path) -> tuple[SplatCl
     rest = 0 if sh is None else len(sh.properties)
     problem = _problem(vertex, chunk, sh, rest)
     if problem:
-        raise InputError(f"{path} is a damaged compressed .ply ({problem}); export it again.")
+        raise InputError(f"'{path}' is a damaged compressed .ply ({problem}); export it again.")
     if vertex.count == 0:
-        raise InputError(f"{path} has no splats; export it again.")
+        raise InputError(f"'{path}' has no splats; export it again.")
     tables = _map_elements(file, header, path)
     ranges = tables["chunk"]
     cloud = empty_cloud(vertex.count, rest)
     valid = np.empty(vertex.count, dtype=bool)
     for start in range(0, vertex.count, _PIECE):
         rows = slice(start, min(start + _PIECE, vertex.count))
-        block = np.arange(rows.start, rows.stop) // _ROWS_PER_CHUNK
+        block = np.arange(rows.start, rows.stop) // ROWS_PER_CHUNK
         valid[rows] = _decode(tables["vertex"][rows], ranges[block], cloud, rows)
         if sh is not None:
             _decode_sh(tables["sh"][rows], cloud, rows, rest)
+        yield rows.stop / vertex.count
     return cloud, valid
 
 
@@ -73,9 +77,9 @@ def _problem(vertex: Element, chunk: Element, sh: Element | None, rest: int) -> 
     missing = [name for name in _RANGES if name not in chunk.properties]
     if missing:
         return f"its chunks lack {', '.join(missing)}"
-    if any(vertex.properties[name] != "u4" for name in _PACKED):
+    if any(vertex.properties[name] != "u4" for name in PACKED):
         return "its packed values are not unsigned 32-bit integers"
-    if chunk.count * _ROWS_PER_CHUNK < vertex.count:
+    if chunk.count * ROWS_PER_CHUNK < vertex.count:
         return f"{chunk.count} chunks for {vertex.count} splats"
     if sh is not None:
         whole = set(sh.properties) == set(rest_names(rest)) and rest in REST_COUNTS
@@ -91,12 +95,12 @@ def _map_elements(file: BinaryIO, header: Header, path: Path) -> dict[str, AnyAr
     tables: dict[str, AnyArray] = {}
     for element in header.elements:
         if element.lists:
-            raise InputError(f"{path} has list properties in '{element.name}'; export it without them.")
+            raise InputError(f"'{path}' has list properties in '{element.name}'; export it without them.")
         dtype = element.dtype(header.order)
         found = max(0, size - offset) // max(dtype.itemsize, 1)
         if found < element.count:
             raise InputError(
-                f"{path} is cut off: its header announces {element.count} rows of '{element.name}', "
+                f"'{path}' is cut off: its header announces {element.count} rows of '{element.name}', "
                 f"the file holds {found}; copy or export it again."
             )
         if element.count:
@@ -154,4 +158,4 @@ def _decode_sh(table: AnyArray, cloud: SplatCloud, rows: slice, rest: int) -> No
     for index, name in enumerate(rest_names(rest)):
         byte = table[name].astype(np.float64)
         value = np.where(byte == 0, 0.0, np.where(byte == 255, 1.0, (byte + 0.5) / 256.0))
-        cloud.sh[rows, 1 + index % bands, index // bands] = (value - 0.5) * _SH_RANGE
+        cloud.sh[rows, 1 + index % bands, index // bands] = (value - 0.5) * SH_RANGE

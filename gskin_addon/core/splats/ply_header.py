@@ -71,13 +71,13 @@ class Header:
 def read_header(file: BinaryIO, path: Path) -> Header:
     """Read the header and leave `file` at the first byte of data; InputError names what is wrong with it."""
     if file.readline(16).strip() != b"ply":
-        raise InputError(f"{path} is not a PLY file; choose a Gaussian splat .ply file.")
+        raise InputError(f"'{path}' is not a PLY file; choose a Gaussian splat .ply file.")
     format_name = ""
     elements: list[Element] = []
     while True:
         line = file.readline(4096)
         if not line.endswith(b"\n") or file.tell() > _MAX_HEADER:
-            raise InputError(f"{path} is cut off inside its PLY header; copy or export the file again.")
+            raise InputError(f"'{path}' is cut off inside its PLY header; copy or export the file again.")
         words = line.decode("latin-1").split()
         if not words or words[0] in ("comment", "obj_info"):
             continue
@@ -91,9 +91,9 @@ def read_header(file: BinaryIO, path: Path) -> Header:
             continue
         else:
             text = " ".join(words)[:60]
-            raise InputError(f"{path} has a header line that is not PLY ({text!r}); export the file again.")
+            raise InputError(f"'{path}' has a header line that is not PLY ({text!r}); export the file again.")
     if format_name not in FORMATS:
-        raise InputError(f"{path} has the PLY format {format_name!r}; use one of {', '.join(FORMATS)}.")
+        raise InputError(f"'{path}' has the PLY format {format_name!r}; use one of {', '.join(FORMATS)}.")
     return Header(format_name, tuple(elements), file.tell())
 
 

@@ -50,6 +50,20 @@ def fit_similarity(before: Floats, after: Floats) -> Similarity | None:
     return Similarity(rotation, scale, b.mean(axis=0) - scale * rotation @ a.mean(axis=0))
 
 
+def rigid_part(linear: Floats) -> tuple[NDArray[np.float64], float] | None:
+    """Rotation (3, 3) and scale > 0 whose product is `linear` (3, 3); None where there are none."""
+    m = np.asarray(linear, np.float64)
+    determinant = float(np.linalg.det(m))
+    if not determinant > 0.0:
+        return None
+    scale = determinant ** (1.0 / 3.0)
+    rotation = m / scale
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > _TOLERANCE:
+        return None
+    u, _, vt = np.linalg.svd(rotation)
+    return u @ vt, scale
+
+
 def is_affine(before: Floats, after: Floats) -> bool:
     """Whether one affine map takes points (N, 3) to points (N, 3); False where too few (under 6) can tell."""
     a, b = np.asarray(before, np.float64), np.asarray(after, np.float64)

@@ -87,9 +87,8 @@ def run_job(
             seconds = time.monotonic() - started
             progress("write", 1.0, {}, "Writing the weights", 0.0)
             report = {**result.report, "worker": {"seconds": round(seconds, 2), **_machine()}}
-            write_result(
-                job, result.weights, report, result.previews, result.mesh_weights, result.confidence
-            )
+            more = result.mesh_weights, result.confidence, result.start
+            write_result(job, result.weights, report, result.previews, *more)
     send({"stage": "done", "fraction": 1.0, "seconds_left": 0.0, "losses": {}, "message": "Done"})
 
 

@@ -7,7 +7,8 @@ It prints JSON lines: {"stage", "fraction" (0 to 1, of the whole job), "seconds_
 cancels it. Exit codes: 0 done, 1 failure, 2 bad input, 130 cancelled. The same job started again goes on from its
 last checkpoint.
 
-`process.py --warm` compiles what jobs need into the user's cache instead.
+`process.py --warm` compiles what jobs need into the user's cache instead; `process.py --draw` draws the frames that
+come through its standard input (`frame_worker.py`).
 
 Started by its path, it loads the package around it, wherever that lies and whatever its folder is called, and
 leaves sys.path alone. Only syntax of old Pythons here, so that the check of the version can run.
@@ -29,10 +30,10 @@ _NAME = "gskin_addon"
 def main(arguments: list[str] | None = None) -> int:
     """Run `JOBDIR`, in a second process that this one watches over; returns the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
-    warming = arguments == ["--warm"]
-    computing = warming or arguments[:1] == ["--compute"]
+    warming, drawing = arguments == ["--warm"], arguments == ["--draw"]
+    computing = warming or drawing or arguments[:1] == ["--compute"]
     folders = arguments[1:] if computing else arguments
-    if not warming and (len(folders) != 1 or folders[0].startswith("-")):
+    if not (warming or drawing) and (len(folders) != 1 or folders[0].startswith("-")):
         return _refuse("Usage: process.py JOBDIR (the folder of a job, see core/job/contract.py)")
     if sys.version_info < (3, 11):  # noqa: UP036  (whoever starts this may name any Python)
         version = ".".join(str(number) for number in sys.version_info[:3])
@@ -55,6 +56,8 @@ def main(arguments: list[str] | None = None) -> int:
                 f"The worker's interpreter '{sys.executable}' lacks numpy; install with: "
                 f"{sys.executable} -m pip install numpy scipy numba torch safetensors"
             )
+        if drawing:
+            return int(importlib.import_module(f"{package}.core.worker.frame_worker").main())
         if warming:
             return int(importlib.import_module(f"{package}.core.worker.warm").main())
         job_runner = importlib.import_module(f"{package}.core.worker.job_runner")

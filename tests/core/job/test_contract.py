@@ -18,6 +18,7 @@ from gskin_addon.core import files
 from gskin_addon.core.errors import GSkinError, InputError
 from gskin_addon.core.job import contract
 from gskin_addon.core.job.checks import check_inputs, overlap
+from gskin_addon.core.rig.influences import Influences
 from gskin_addon.core.rig.skeleton import Skeleton
 from gskin_addon.core.rig.weights_file import read_weights_file, write_weights_file
 from gskin_addon.core.splats.axes import rotate_cloud, up_rotation
@@ -85,6 +86,24 @@ def test_confidence_reads_back_and_is_checked(tmp_path):
     np.savez(tmp_path / "w.npz", **{**arrays, "confidence": confidence * 2})
     with pytest.raises(InputError, match="damaged confidence"):
         read_weights_file(tmp_path / "w.npz")
+
+
+def test_the_start_reads_back_and_is_checked(tmp_path):
+    _, skeleton = jobs.rod()
+    weights = np.full((3, 2), 0.5, np.float32)
+    start = Influences(np.array([[0, 1], [1, 0], [1, 1]], np.int32), np.array([[1, 0]] * 3, np.float32))
+    path = tmp_path / "w.npz"
+    write_weights_file(path, weights, skeleton, start=start)
+    found = read_weights_file(path).start
+    np.testing.assert_array_equal(found.index, start.index)
+    np.testing.assert_array_equal(found.value, start.value)
+    with pytest.raises(ValueError, match="for 3 splats"):
+        write_weights_file(path, weights, skeleton, start=start.rows(np.array([0, 1])))
+    arrays = dict(np.load(path))
+    for bad in ({"start_bones": start.index + 9}, {"start_weights": start.value * 3}, {"start_weights": weights[:2]}):
+        np.savez(path, **{**arrays, **bad})
+        with pytest.raises(InputError, match="damaged weights to start from"):
+            read_weights_file(path)
 
 
 def test_bad_weights_are_not_read(tmp_path):

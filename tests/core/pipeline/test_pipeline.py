@@ -13,12 +13,13 @@ from gskin_addon.core.pipeline.steps import to_unit_size
 from gskin_addon.core.render import backends
 from gskin_addon.core.render.camera import paper_views
 from gskin_addon.core.render.rasterizer import render_cloud
+from gskin_addon.core.rig.influences import Influences
 from gskin_addon.core.rig.kinematics import pose_transforms
-from gskin_addon.core.rig.lbs import skin_points
+from gskin_addon.core.rig.lbs import skin_points, sparsify
 from gskin_addon.core.rig.poses import random_poses
 from gskin_addon.core.skinning import presets, subset
 from gskin_addon.core.skinning.initial import initial_weights
-from gskin_addon.core.skinning.learned.predict import learned_weights
+from gskin_addon.core.skinning.learned.predict import heat_weights, learned_weights
 from tests.helpers.limb import make_limb
 
 ELASTIC = {"preset": "draft", "guidance": "elastic"}
@@ -53,6 +54,51 @@ def test_without_images_a_job_ends_with_its_initial_weights(tmp_path):
     assert not outcome.previews, "nothing was rendered"
     assert {stage for stage, *_ in told} == {"initial", "finish"}
     assert not list(tmp_path.iterdir()), "nothing to resume was left"
+
+
+def test_the_result_says_what_it_started_from(tmp_path):
+    limb = make_limb(700)
+    outcome = run(limb.cloud, limb.skeleton, {}, silent, tmp_path)
+    heat = heat_weights(*to_unit_size(limb.cloud, limb.skeleton))
+    assert outcome.report["start"] == "bone heat"
+    np.testing.assert_allclose(outcome.start.dense(limb.skeleton.count), sparsify(heat, 4), atol=1e-5)
+    assert np.abs(outcome.start.dense(limb.skeleton.count) - outcome.weights).max() > 0.05
+    assert run(limb.cloud, limb.skeleton, {"init": "heat"}, silent, tmp_path).start is None
+
+
+def test_a_guided_result_started_from_its_initial_weights(tmp_path):
+    limb = make_limb(700)
+    outcome = run(limb.cloud, limb.skeleton, ELASTIC, silent, tmp_path)
+    plain = run(limb.cloud, limb.skeleton, {}, silent, tmp_path).weights
+    assert outcome.report["start"] == "initial weights (learned)"
+    np.testing.assert_allclose(outcome.start.dense(limb.skeleton.count), plain, atol=1e-5)
+
+
+def test_pictures_are_there_while_it_runs(tmp_path):
+    """The newest guidance image from the first one on, the weights from the first iteration on."""
+    limb, seen = make_limb(500), {}
+
+    def watch(stage, *_):
+        seen[stage] = {path.name: path.stat().st_size for path in (tmp_path / "previews").glob("*.png")}
+
+    run(limb.cloud, limb.skeleton, ELASTIC, watch, tmp_path / "checkpoint")
+    assert not seen["initial"]
+    assert set(seen["guidance"]) == {"guidance.png"}
+    assert set(seen["optimise"]) == {"guidance.png", "weights.png"}
+    assert min(seen["optimise"].values()) > 500
+
+
+def test_stray_splats_start_from_where_the_body_does(tmp_path):
+    limb = make_limb(700)
+    means = limb.cloud.means.copy()
+    means[:3] += 30
+    job = steps.JobInputs.read(replace(limb.cloud, means=means), limb.skeleton, {}, tmp_path / "c")
+    splats = steps.prepare_splats(job)
+    assert splats.ignored[:3].all()
+    start = Influences(np.arange(700, dtype=np.int32)[:, None], np.ones((700, 1), np.float32))
+    followed = steps.finish_start(job, splats, start).index[:, 0]
+    assert not splats.ignored[followed].any()
+    np.testing.assert_array_equal(followed[~splats.ignored], np.flatnonzero(~splats.ignored))
 
 
 def test_confidence_falls_where_images_disagree(tmp_path):

@@ -19,13 +19,16 @@ def test_a_file_is_known_by_what_it_holds(tmp_path):
 
 def test_what_is_no_splat_file_is_named_with_a_remedy(tmp_path):
     (tmp_path / "b.spz").write_bytes(b"\x1f\x8b something else")
+    (tmp_path / "b.lcc").write_bytes(b"something else")
     (tmp_path / "c.ply").write_bytes(b"no header")
-    with pytest.raises(InputError, match=r"b\.spz' is no \.ply file.*splat-transform"):
+    with pytest.raises(InputError, match=r"b\.spz is damaged \(it cannot be unpacked.*export it again"):
         read_splats(tmp_path / "b.spz")
+    with pytest.raises(InputError, match=r"b\.lcc' is a capture of XGRIDS; turn it into a \.ply .* splat-transform"):
+        read_splats(tmp_path / "b.lcc")
     with pytest.raises(InputError, match=r"c\.ply"):
         read_splats(tmp_path / "c.ply")
     with pytest.raises(InputError, match=r"d\.ply' does not exist"):
         read_splats(tmp_path / "d.ply")
-    with pytest.raises(InputError, match=r"out\.txt' is no \.ply file"):
+    with pytest.raises(InputError, match=r"out\.txt' is no \.ply, .* file; choose another name"):
         write_splats(tmp_path / "out.txt", random_cloud(3, 0))
     assert not (tmp_path / "out.txt").exists()

@@ -40,7 +40,9 @@ def _tile_ranges(tile_start: NDArray[np.int64], threads: int) -> list[tuple[int,
 
 
 def camera_vector(camera: Camera, dilation: float = DILATION, compensate: float | None = None) -> NDArray[np.float64]:
-    """The camera and the filter as the kernels read them, (CAMERA,) float64."""
+    """The camera and the filter as the kernels read them, (CAMERA,) float64. InputError for an orthographic one."""
+    if camera.orthographic:
+        raise InputError("Guidance needs a perspective camera; orthographic views are drawn by *Render Splats* only.")
     c = np.zeros(CAMERA)
     c[0:9], c[9:12] = camera.rotation.ravel(), camera.translation
     c[12], c[13], c[14] = camera.fx, camera.fy, camera.near

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...rig.influences import Influences
 from ...rig.nearest_points import nearest_points
 from ...rig.skeleton import Skeleton
 from ...splats.cloud import SplatCloud
@@ -53,12 +54,38 @@ def learned_weights(
     Raises:
         InputError: fewer than two splats, or the model cannot be used.
     """
+    return _learned(cloud, skeleton, model, walls, tick, heat=False)[:2]
+
+
+def learned_weights_and_heat(
+    cloud: SplatCloud,
+    skeleton: Skeleton,
+    model: Path | None = None,
+    *,
+    walls: Array | None = None,
+    tick: Tick = silent,
+) -> tuple[Array, Array, Influences]:
+    """As `learned_weights`, with the bone heat from which the network started: the strongest bones of `heat_weights`.
+
+    The network looks at heat anyway, so that this costs little more.
+    """
+    weights, confidence, heat = _learned(cloud, skeleton, model, walls, tick, heat=True)
+    assert heat is not None
+    return weights, confidence, heat
+
+
+def _learned(
+    cloud: SplatCloud, skeleton: Skeleton, model: Path | None, walls: Array | None, tick: Tick, *, heat: bool
+) -> tuple[Array, Array, Influences | None]:
     networks = _loaded(model or SHIPPED)
     nodes = _nodes_share(cloud.count)
     body = describe_body(cloud, skeleton, limit=NODES, walls=walls, tick=stretch(tick, 0.0, 0.6 * nodes))
     weights, confidence = predict_nodes(networks, body, skeleton.count, tick=stretch(tick, 0.6 * nodes, nodes))
     held = hold(weights, body.points, skeleton, body.size)
-    return interpolate_to_splats(cloud, body, held, confidence, walls=walls, tick=stretch(tick, nodes, 1.0))
+    return interpolate_to_splats(
+        cloud, body, held, confidence, walls=walls, tick=stretch(tick, nodes, 1.0),
+        start=body.reach.heat if heat else None,
+    )  # fmt: skip
 
 
 def heat_weights(
@@ -114,25 +141,36 @@ def interpolate_to_splats(
     *,
     walls: Array | None = None,
     tick: Tick = silent,
-) -> tuple[Array, Array]:
-    """From the nodes to all splats: means over the nearest nodes, of like colour and on this side of gaps and walls."""
+    start: Array | None = None,
+) -> tuple[Array, Array, Influences | None]:
+    """From the nodes to all splats: means over the nearest nodes, of like colour and on this side of gaps and walls.
+
+    start (M, B): further weights of the nodes; of these each splat gets its strongest bones only, as the third value.
+    """
     if len(body.index) == cloud.count:
-        return weights, confidence
+        return weights, confidence, None if start is None else Influences.strongest(start)
     colors = cloud.base_colors()
     pitch = float(np.median(nearest_points(body.points, body.points, min(NEAREST_NODES, len(body.index)))[0]))
     out, out_confidence = np.empty((cloud.count, weights.shape[1]), np.float32), np.empty(cloud.count, np.float32)
+    parts: list[Influences] = []
     for first in range(0, cloud.count, _CHUNK):
         rows = slice(first, min(first + _CHUNK, cloud.count))
         own = None if walls is None else np.asarray(walls)[rows]
         share, near = _shares(body, cloud.means[rows], colors[rows], pitch, own)
-        block = np.zeros((len(near), weights.shape[1]), np.float32)
-        for column in range(near.shape[1]):
-            block += share[:, column : column + 1] * weights[near[:, column]]
-        block /= block.sum(axis=1, keepdims=True)
-        out[rows] = block
+        out[rows] = _mean(share, near, weights)
+        if start is not None:
+            parts.append(Influences.strongest(_mean(share, near, start)))
         out_confidence[rows] = (share * confidence[near]).sum(axis=1)
         tick(rows.stop / cloud.count)
-    return out, out_confidence
+    return out, out_confidence, Influences.joined(parts) if parts else None
+
+
+def _mean(share: Array, near: Array, weights: Array) -> Array:
+    """Weights (n, B) of splats from those of their nodes; share, near (n, NEAREST_NODES)."""
+    block = np.zeros((len(near), weights.shape[1]), np.float32)
+    for column in range(near.shape[1]):
+        block += share[:, column : column + 1] * weights[near[:, column]]
+    return block / block.sum(axis=1, keepdims=True)
 
 
 def _shares(

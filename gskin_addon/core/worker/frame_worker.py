@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The process that draws frames: they come through stdin, pictures go to files, and lines of JSON say how far it is.
+
+{"stage": "drawing", "number", "fraction"}, {"stage": "drawn", "number", "seconds"} for each frame;
+{"stage": "error", "error", "traceback"} ends it. It ends, too, when stdin closes.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+
+from ..render.frame import draw_frame
+from ..render.output import write_picture
+from . import job_runner, parent_watch
+from .frame_pipe import read_frames
+
+
+def main() -> int:
+    """Draw until stdin closes; returns the exit code."""
+    send = job_runner.take_stdout()
+    if os.name == "posix":
+        parent_watch.die_with_parent(signal.SIGKILL)
+    try:
+        for number, frame, output in read_frames(sys.stdin.buffer):
+            begun = time.monotonic()
+
+            def show(share: float, number: int = number) -> None:
+                send({"stage": "drawing", "number": number, "fraction": round(share, 3)})
+
+            picture, hidden = draw_frame(frame, show)
+            write_picture(picture, hidden, output)
+            send({"stage": "drawn", "number": number, "seconds": round(time.monotonic() - begun, 3)})
+        return 0
+    except Exception as error:  # told to the one who waits, whatever it is
+        code, sentence, details = job_runner.explain(error)
+        send({"stage": "error", "error": sentence, "traceback": details, "exit_code": code})
+        return code

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Make Paintable: the fabric under splats, on which Blender's weight tools work; and its removal."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..core.errors import GSkinError
+from ..scene.cleanup import begin_selecting
+from ..scene.fabric import has_fabric, iter_make_fabric, strip_fabric
+from ..scene.splat_object import is_splat_object
+from ..scene.steps import run_to_end
+from ..session.chosen import chosen_splats
+
+
+class GSKIN_OT_make_paintable(bpy.types.Operator):
+    """Lay a fabric under the splats, so that Blender's brushes and weight tools work on them. It is seen in Weight
+    Paint and Edit Mode only, and never rendered or exported. Auto-Skin does this by itself"""
+
+    bl_idname = "gskin.make_paintable"
+    bl_label = "Make Splats Paintable"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if chosen_splats(context) is None:
+            cls.poll_message_set("Select splats")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        splats = chosen_splats(context)
+        mode = splats.mode
+        try:
+            begin_selecting(context, splats)
+            count = run_to_end(iter_make_fabric(splats))
+        except GSkinError as error:
+            self.report({"ERROR"}, error.plain)
+            return {"CANCELLED"}
+        finally:
+            if splats.mode != mode:
+                bpy.ops.object.mode_set(mode=mode)
+        self.report({"INFO"}, f"{count:,} triangles join the splats of '{splats.name}' for painting and selecting")
+        return {"FINISHED"}
+
+
+class GSKIN_OT_remove_fabric(bpy.types.Operator):
+    """Take the fabric under the splats away again; splats and weights stay"""
+
+    bl_idname = "gskin.remove_fabric"
+    bl_label = "Remove Fabric"
+    bl_options = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        splats = chosen_splats(context)
+        if splats is None or not is_splat_object(splats) or not has_fabric(splats):
+            cls.poll_message_set("The splats have no fabric")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        splats = chosen_splats(context)
+        begin_selecting(context, splats)
+        strip_fabric(splats.data)
+        return {"FINISHED"}
+
+
+CLASSES = (GSKIN_OT_make_paintable, GSKIN_OT_remove_fabric)

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The fabric under splats: triangles between neighbours, on which Blender's own weight tools work.
+
+The vertices stay the splats, in their order. Nothing draws it but Weight Paint and Edit Mode (`fabric_view.py`), and
+what is exported goes without it.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bmesh
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.skinning.edits.separate import FAR, steps_between
+from ..core.skinning.fabric import fabric_triangles
+from .armature import read_skeleton
+from .attributes import ObjectData
+from .bone_frames import armature_of
+from .influences import strongest_bone
+from .object_ref import ObjectRef, object_by_uid
+from .seams import read_seams
+from .splat_object import is_splat_object, read_cloud, refuse_edit_mode
+from .steps import Steps, in_thread
+from .vertex_groups import leave_paint_mode, set_mode
+
+Array = NDArray[Any]
+
+_aside: list[tuple[int, str, int, int]] = []
+"""Session id and name of objects whose fabric is laid aside, with those of the meshes with and without it."""
+
+
+def has_fabric(obj: bpy.types.Object) -> bool:
+    """Whether the splats have a fabric."""
+    return is_splat_object(obj) and len(obj.data.polygons) > 0
+
+
+def iter_make_fabric(obj: bpy.types.Object) -> Steps[int]:
+    """Give the splats of `obj` a new fabric in place of an older one; the number of its triangles. In slices; only the
+    last one changes the scene.
+
+    Raises InputError: no splats, Edit Mode, or the object was changed meanwhile.
+    """
+    ref = ObjectRef(obj)
+    triangles = yield from iter_triangles(obj, strongest_bone(obj), armature_of(obj))
+    obj = ref.find()
+    lay_under(obj, triangles)
+    return len(triangles)
+
+
+def iter_triangles(
+    obj: bpy.types.Object, bone: Array | None, armature: bpy.types.Object | None
+) -> Steps[Array]:
+    """Triangles (T, 3) of a fabric for the splats of `obj`, made in a thread.
+
+    Splats are not joined over seams, nor where the bones of `armature` that move them most, bone (N,) with -1 for none,
+    are far apart in the skeleton. Raises InputError as `read_cloud`.
+    """
+    cloud, walls, apart = read_cloud(obj), read_seams(obj), None
+    if armature is not None and bone is not None:
+        parents = read_skeleton(armature).parents
+        # The last row is of splats that no bone moves, index -1: they are far from nothing.
+        far = np.zeros((len(parents) + 1, len(parents) + 1), np.bool_)
+        far[:-1, :-1] = steps_between(parents) >= FAR
+        apart = bone, far
+    return (yield from in_thread(lambda: fabric_triangles(cloud, walls=walls, apart=apart)))
+
+
+def lay_under(obj: bpy.types.Object, triangles: Array) -> None:
+    """Give the splats the fabric `triangles` (T, 3) in place of an older one. Raises InputError in Edit Mode."""
+    refuse_edit_mode(obj)
+    mode = leave_paint_mode(obj)
+    strip_fabric(obj.data)
+    _add_triangles(obj.data, triangles)
+    if mode != "OBJECT":
+        set_mode(obj, mode)
+
+
+def strip_fabric(mesh: ObjectData) -> None:
+    """Take edges and triangles away from a mesh of splats; its points and all that they carry stay."""
+    if not len(mesh.polygons) and not len(mesh.edges):
+        return
+    work = bmesh.new()
+    work.from_mesh(mesh)
+    bmesh.ops.delete(work, geom=work.edges[:], context="EDGES_FACES")
+    work.to_mesh(mesh)
+    work.free()
+    mesh.update()
+
+
+def lay_fabrics_aside() -> None:
+    """Give all splat objects a mesh without fabric, until `bring_fabrics_back`: exporters write what they find."""
+    for obj in bpy.data.objects:
+        if has_fabric(obj) and obj.mode != "EDIT":
+            mesh: ObjectData = obj.data
+            bare = mesh.copy()
+            strip_fabric(bare)
+            obj.data = bare
+            _aside.append((obj.session_uid, obj.name, mesh.session_uid, bare.session_uid))
+
+
+def bring_fabrics_back() -> None:
+    """Undo `lay_fabrics_aside`."""
+    while _aside:
+        uid, name, whole, bare = _aside.pop()
+        meshes = {mesh.session_uid: mesh for mesh in bpy.data.meshes if mesh.session_uid in (whole, bare)}
+        obj = object_by_uid(uid, name)
+        if obj is not None and whole in meshes:
+            obj.data = meshes[whole]
+        if bare in meshes and not meshes[bare].users:
+            bpy.data.meshes.remove(meshes[bare])
+
+
+def _add_triangles(mesh: ObjectData, triangles: Array) -> None:
+    count = len(triangles)
+    mesh.loops.add(3 * count)
+    mesh.polygons.add(count)
+    mesh.loops.foreach_set("vertex_index", np.ascontiguousarray(triangles, np.int32).ravel())
+    mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
+    mesh.update(calc_edges=True)

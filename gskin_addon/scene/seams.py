@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Seams of a splat object: labels of splats on both sides of where parts touch that do not belong together."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from . import names
+from .attributes import read_attribute, write_attribute
+
+Array = NDArray[Any]
+
+
+def read_seams(obj: bpy.types.Object) -> Array | None:
+    """Labels (N,) int64, 0 for none, see `core.skinning.walls`; None where there are no seams."""
+    labels = read_attribute(obj.data, names.SIDE)
+    return None if labels is None or not labels.any() else labels.astype(np.int64)
+
+
+def write_seams(obj: bpy.types.Object, labels: Array | None) -> None:
+    """Store the labels (N,) with the splats; None, or zeros alone, for no seams."""
+    if labels is None or not np.any(labels):
+        if names.SIDE in obj.data.attributes:
+            obj.data.attributes.remove(obj.data.attributes[names.SIDE])
+    else:
+        write_attribute(obj.data, names.SIDE, "INT", labels)
+    obj.data.update()

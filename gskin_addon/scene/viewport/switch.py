@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which objects the shader draws: their display then gives bare points in place of ellipsoids, and else ellipsoids.
+
+Nothing is left behind: files are saved with ellipsoids, and they come back where drawing fails or ends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import bpy
+
+from ..node_builder import get_input, has_input, set_input
+from ..node_groups import BY_SHADER, NATIVE, find_display
+from ..splat_object import is_splat_object
+
+OTHER_MODES = {"EDIT", "WEIGHT_PAINT", "VERTEX_PAINT", "TEXTURE_PAINT", "SCULPT"}
+"""Modes in which Blender itself needs or shows the mesh."""
+
+failure = ""
+"""Why the shader draws nothing in this session; empty while all is well."""
+
+
+def setting(scene: bpy.types.Scene) -> bool:
+    """The artist's choice in a scene."""
+    return bool(getattr(scene, "gskin_draw_splats", False))
+
+
+def wanted(scene: bpy.types.Scene) -> bool:
+    """Whether the shader shall draw a scene's splats."""
+    return not bpy.app.background and not failure and setting(scene)
+
+
+def can_be_drawn(obj: bpy.types.Object) -> bool:
+    """Whether the shader can draw an object as it is now."""
+    if not is_splat_object(obj) or obj.library is not None or obj.mode in OTHER_MODES:
+        return False
+    modifier = find_display(obj)
+    if modifier is None or not has_input(modifier, BY_SHADER) or not get_input(modifier, "Display"):
+        return False
+    return not is_native(modifier)
+
+
+def is_native(modifier: bpy.types.NodesModifier) -> bool:
+    """Whether a display gives Blender's own splats, which need no shader of ours (Blender 5.3 and later)."""
+    return has_input(modifier, NATIVE) and bool(get_input(modifier, NATIVE))
+
+
+def is_drawn(obj: bpy.types.Object) -> bool:
+    """Whether the shader is to draw an object: its display is on, and gives points."""
+    modifier = find_display(obj) if is_splat_object(obj) else None
+    if modifier is None or not has_input(modifier, BY_SHADER):
+        return False
+    return bool(modifier.show_viewport and get_input(modifier, BY_SHADER) and get_input(modifier, "Display"))
+
+
+def set_drawn(obj: bpy.types.Object, drawn: bool) -> None:
+    """Give an object over to the shader, or its ellipsoids back; nothing is touched where it is so already."""
+    modifier = find_display(obj) if is_splat_object(obj) and obj.library is None else None
+    if modifier is not None and has_input(modifier, BY_SHADER) and bool(get_input(modifier, BY_SHADER)) != drawn:
+        set_input(modifier, BY_SHADER, drawn)
+
+
+def splat_objects() -> Iterator[bpy.types.Object]:
+    """All splat objects of the file."""
+    return (obj for obj in bpy.data.objects if is_splat_object(obj))
+
+
+def apply_to(obj: bpy.types.Object) -> None:
+    """Bring one object's display in line with what is wanted."""
+    scenes = obj.users_scene
+    set_drawn(obj, bool(scenes) and all(wanted(scene) for scene in scenes) and can_be_drawn(obj))
+
+
+def apply_to_all() -> None:
+    """Bring all objects' displays in line with what is wanted."""
+    for obj in splat_objects():
+        apply_to(obj)
+
+
+def give_ellipsoids_back() -> None:
+    """All objects show ellipsoids again."""
+    for obj in splat_objects():
+        set_drawn(obj, False)
+
+
+def fail(reason: str) -> None:
+    """Stop drawing for this session, or until the setting is switched on again."""
+    global failure
+    failure = reason
+    print(f"gskin: splats are not drawn by the shader but as ellipsoids: {reason}")
+
+
+def try_again() -> None:
+    """Forget why drawing failed."""
+    global failure
+    failure = ""
