@@ -324,8 +324,8 @@ def test_a_posed_blend_keeps_its_pose(rigged, tmp_path):
 @pytest.mark.parametrize(
     "extra",
     [
-        pytest.param([], marks=only_with("numba")),
-        pytest.param(["--color", "weights"], marks=only_with("numba")),
+        [],
+        ["--color", "weights"],
         ["--engine", "cycles"],
     ],
 )
