@@ -185,11 +185,15 @@ def _shape(tree: Tree, given: Input) -> dict[str, Any]:
     Inputs: columns of the blended map J; unevenness; spins, a matrix with the columns sqrt(w_b s_b) q_b (w x y z).
     """
     columns, uneven = [given(label) for label in _COLUMNS], given("Uneven")
-    volume = tree.vector("DOT_PRODUCT", columns[0], tree.vector("CROSS_PRODUCT", columns[1], columns[2]))
-    sign = tree.math("MULTIPLY_ADD", tree.math("LESS_THAN", volume, 0.0), -2.0, 1.0)
-    columns = [tree.scale(column, sign) for column in columns]
     blended = tree.attribute(names.TURN, "QUATERNION")
+    # Mirrored with its bones, the splat is minus a rotation; folded by a bend it has none of its own.
+    near = [tree.vector("DOT_PRODUCT", _turned(tree, axis, blended), c) for axis, c in zip(AXES, columns, strict=True)]
+    trace = tree.math("ADD", tree.math("ADD", near[0], near[1]), near[2])
+    sign = tree.math("MULTIPLY_ADD", tree.math("LESS_THAN", trace, 0.0), -2.0, 1.0)
+    columns = [tree.scale(column, sign) for column in columns]
+    volume = tree.vector("DOT_PRODUCT", columns[0], tree.vector("CROSS_PRODUCT", columns[1], columns[2]))
     own, sound = _newton(tree, columns, blended)
+    sound = tree.math("MULTIPLY", sound, tree.math("GREATER_THAN", volume, 0.0))
     share = tree.math("DIVIDE", tree.math("SUBTRACT", uneven, RIGID), PLAINLY - RIGID)
     share = tree.math("MINIMUM", tree.math("MAXIMUM", share, 0.0), 1.0)
     smooth = tree.math("MULTIPLY_ADD", share, -2.0, 3.0)

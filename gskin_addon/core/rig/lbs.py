@@ -134,8 +134,7 @@ def local_deform(
         sign = np.where(np.einsum("nk,nk->n", leading[rows], quat) < 0, -weight, weight)
         turn[rows] += sign[:, None] * quat
         moments[rows] += (weight * sizes)[:, None, None] * quat[:, :, None] * quat[:, None, :]
-    turn, stretched = stretched_maps(maps, normalize(turn), moments, uneven.max(axis=1))
-    return means, turn, stretched, np.linalg.det(maps) < 0
+    return means, *stretched_maps(maps, normalize(turn), moments, uneven.max(axis=1))
 
 
 def stretch_rows(

@@ -66,8 +66,10 @@ def second_moments(weights: Array, quats: Array) -> Array:
     return np.asarray((np.asarray(weights, np.float64) @ outer.reshape(len(quats), 16)).reshape(-1, 4, 4))
 
 
-def stretched_maps(maps: Array, turn: Array, moments: Array, uneven: Array) -> tuple[Array, Array]:
+def stretched_maps(maps: Array, turn: Array, moments: Array, uneven: Array) -> tuple[Array, Array, Array]:
     """What turns splats and what stretches them: unit quaternions R (N, 4) and maps M = R S (N, 3, 3).
+
+    Also which splats are mirrored with their bones, (N,) bool: M is minus what J asks for.
 
     maps (N, 3, 3): the blended local maps J. turn (N, 4): the blended rotation of Eq. 3. moments (N, 4, 4): of the
     quaternions that were blended (`second_moments`), weights times `size` of the bones' maps. uneven (N,): how far the
@@ -78,20 +80,23 @@ def stretched_maps(maps: Array, turn: Array, moments: Array, uneven: Array) -> t
     w_b s_b (I - (R^T Q_b)_sym).
     """
     maps = np.asarray(maps, dtype=np.float64)
-    maps = maps * np.where(np.linalg.det(maps) < 0, -1.0, 1.0)[:, None, None]
-    share: Array = np.clip((np.asarray(uneven) - RIGID) / (PLAINLY - RIGID), 0, 1)
-    share = share * share * (3 - 2 * share)
     turn = np.asarray(turn, dtype=np.float64)
+    # Not by the determinant: where a bend folds the space, J mirrors and no bone does.
+    mirrored = np.einsum("nij,nij->n", quat_to_matrix(turn), maps) < 0
+    maps = np.where(mirrored[:, None, None], -maps, maps)
+    share = np.clip((np.asarray(uneven) - RIGID) / (PLAINLY - RIGID), 0, 1)
+    share = share * share * (3 - 2 * share)
     u, s, vt = np.linalg.svd(maps)
-    share = share * (s[:, 1] + s[:, 2] > COLLAPSED * s[:, 0])
-    u[:, :, 2] *= np.where(np.linalg.det(u @ vt) < 0, -1, 1)[:, None]
+    folded = np.asarray(np.linalg.det(u @ vt) < 0)
+    share = share * ((s[:, 1] + s[:, 2] > COLLAPSED * s[:, 0]) & ~folded)
+    u[:, :, 2] *= np.where(folded, -1, 1)[:, None]
     own = matrix_to_quat(u @ vt)
     own = np.where(np.einsum("nk,nk->n", own, turn)[:, None] < 0, -own, own)
     blended = normalize(turn + share[:, None] * (own - turn))
     rotation = quat_to_matrix(blended)
-    stretch: Array = np.swapaxes(rotation, 1, 2) @ maps
-    stretch = (stretch + np.swapaxes(stretch, 1, 2)) / 2 + _lost(blended, moments)
-    return blended, rotation @ stretch
+    own_frame = np.swapaxes(rotation, 1, 2) @ maps
+    stretch = (own_frame + np.swapaxes(own_frame, 1, 2)) / 2 + _lost(blended, moments)
+    return blended, rotation @ stretch, mirrored
 
 
 def _lost(turn: Array, moments: Array) -> Array:
