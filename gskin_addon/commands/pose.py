@@ -75,7 +75,8 @@ def posed(options: argparse.Namespace) -> Iterator[bpy.types.Object]:
         name = armature.library.filepath
         armature = own_rig(armature)
         print_message(f"Armature '{armature.name}' was linked from '{name}'; it is the file's own now.")
-    with shown([obj, proxy_of(obj), armature], select=True):
+    drawn = getattr(options, "engine", "") == "cycles"
+    with shown([obj], render=drawn), shown([obj, proxy_of(obj), armature], select=True):
         if armature is not None:
             for note in pose_still(obj, armature, wanted):
                 print_message(f"{note[:1].upper()}{note[1:]}.")
