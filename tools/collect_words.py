@@ -45,8 +45,6 @@ def words_of_classes() -> Iterator[tuple[str, str]]:
                 rna = getattr(getattr(bpy.ops, group), name).get_rna_type()
                 yield BUTTON, cls.bl_label
                 yield ANY, rna.description
-            elif issubclass(cls, bpy.types.Panel):
-                yield ANY, cls.bl_label
             own = {name for base in cls.__mro__ if _ours(base) for name in inspect.get_annotations(base)}
             for prop in rna.properties:
                 if prop.identifier in own and not prop.is_hidden:
@@ -84,8 +82,8 @@ def words_of_source(text: str) -> Iterator[tuple[str, str]]:
             if len(others) > 3:
                 yield from ((BUTTON, word) for word in _constants(others[3]))
     for node in ast.walk(ast.parse(text)):
-        # A sentence that is made before the check that says it.
-        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "sentence":
+        # A panel's label (the class of presets has the last preset's name), or a sentence made before its check.
+        if isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") in ("bl_label", "sentence"):
             yield from ((ANY, word) for word in _constants(node.value))
 
 

@@ -62,6 +62,7 @@ def posed(options: argparse.Namespace) -> Iterator[bpy.types.Object]:
     require_bpy()
     from ..scene import rig_files
     from ..scene.anchored import proxy_of
+    from ..scene.blend_rigs import own_rig
     from ..scene.proxy_object import followed_armature
     from ..scene.still_pose import Pose, pose_still
     from ..scene.visibility import shown
@@ -76,6 +77,10 @@ def posed(options: argparse.Namespace) -> Iterator[bpy.types.Object]:
     wanted = Pose(turns, settings, options.action, options.slot, options.frame)
     if armature is None and wanted:
         raise InputError(f"'{obj.name}' in '{options.source}' follows no armature; bind it with gskin rig.")
+    if armature is not None and wanted and armature.library is not None and options.out.suffix.lower() == ".blend":
+        name = armature.library.filepath
+        armature = own_rig(armature)
+        print_message(f"Armature '{armature.name}' was linked from '{name}'; it is the file's own now.")
     with shown([obj, proxy_of(obj), armature], select=True):
         if armature is not None:
             for note in pose_still(obj, armature, wanted):

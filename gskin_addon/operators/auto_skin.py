@@ -15,13 +15,14 @@ from ..core.errors import Cancelled, GSkinError, InputError
 from ..core.guidance.options import check_models
 from ..core.job.progress_text import ProgressPrinter
 from ..core.job.settings import JobSettings
+from ..scene.blender_splats import make_riggable
 from ..scene.bone_frames import armature_of
 from ..scene.cleanup import begin_selecting
 from ..scene.steps import Steps, run_for
 from ..scene.weight_edits import selected_splats
 from ..scene.weights import is_edited
 from ..session import running_job, status_bar
-from ..session.chosen import chosen_armature, chosen_splats, panel_settings, proxy_mesh
+from ..session.chosen import chosen_armature, chosen_blender_splats, chosen_splats, panel_settings, proxy_mesh
 from ..session.preferences import job_python
 from ..session.readiness import what_is_missing
 from ..session.skin_job import SkinJob
@@ -128,6 +129,7 @@ class SkinOperator:
         settings = chosen.as_job()
         python, _ = job_python(context, chosen.needs_runtime())
         try:
+            _take_over(context)
             only = self.chosen_rows(context)
             JobSettings.parse(settings)
             check_models(settings["guidance"], settings.get("options", {}))
@@ -173,6 +175,19 @@ class SkinOperator:
             context.window_manager.event_timer_remove(self._timer)
             self._timer = None
         status_bar.clear(context)
+
+
+def _take_over(context: bpy.types.Context) -> None:
+    """Make splats of Blender's riggable, as the check list says. Raises InputError for what is in the way then."""
+    splats = chosen_blender_splats(context)
+    if splats is None:
+        return
+    make_riggable(context, splats)
+    if not bpy.app.background:  # a step of its own: it stays where the job is cancelled
+        bpy.ops.ed.undo_push(message="Make Riggable")
+    problem = what_is_missing(context)
+    if problem:
+        raise InputError(f"{problem}.")
 
 
 class GSKIN_OT_auto_skin(SkinOperator, bpy.types.Operator):

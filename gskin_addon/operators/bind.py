@@ -108,7 +108,7 @@ class GSKIN_OT_update_rotation_weights(bpy.types.Operator):
         if splats is None or armature_of(splats) is None:
             cls.poll_message_set("Select splats that follow an armature")
             return False
-        return True
+        return _not_edited(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
@@ -125,6 +125,13 @@ def _has_both(operator: type[bpy.types.Operator], context: bpy.types.Context) ->
         return False
     if chosen_armature(context) is None:
         operator.poll_message_set("Select the armature along with the splats")
+        return False
+    return _not_edited(operator, context)
+
+
+def _not_edited(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    if chosen_splats(context).mode == "EDIT":
+        operator.poll_message_set("Leave Edit Mode (Tab)")
         return False
     return True
 

@@ -20,7 +20,7 @@ from ..session import readiness
 from ..session.chosen import chosen_armature
 
 _GLOB = ";".join([*(f"*{suffix}" for suffix in FILE_TYPES), META])
-_PAUSE, _SLICE = 0.01, 0.03
+_PAUSE, _SLICE = 0.01, 0.05
 """Seconds between two slices, and that a slice takes at least."""
 _HARMLESS = {"MOUSEMOVE", "INBETWEEN_MOUSEMOVE", "MIDDLEMOUSE", "WHEELUPMOUSE", "WHEELDOWNMOUSE", "TRACKPADPAN",
              "TRACKPADZOOM", "TIMER_REPORT", "WINDOW_DEACTIVATE"}  # fmt: skip
@@ -69,6 +69,7 @@ class GSKIN_OT_import_splats(bpy.types.Operator, ImportHelper):
     """Whether a person chose the files, in a window."""
     _steps: Steps[None] | None = None
     _timer: bpy.types.Timer | None = None
+    _said = ""
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """A file browser; for dropped files, which are known already, only the options.
@@ -107,8 +108,10 @@ class GSKIN_OT_import_splats(bpy.types.Operator, ImportHelper):
         except StopIteration:
             self._leave(context)
             return self._finish(context)
-        if context.workspace is not None:
-            context.workspace.status_text_set(f"Importing splats: {share:.0%}  (Esc cancels)")
+        text = f"Importing splats: {share:.0%}  (Esc cancels)"
+        if text != self._said and context.workspace is not None:  # each time the whole window may be drawn
+            self._said = text
+            context.workspace.status_text_set(text)
         return {"RUNNING_MODAL"}
 
     def cancel(self, context: bpy.types.Context) -> None:

@@ -106,6 +106,7 @@ class GSKIN_OT_render_splats(bpy.types.Operator):
             return False
         chosen = render_settings(context.scene)
         options = {"animation": self.animation, "hold_out": chosen.hold_out, "depth": chosen.depth}
+        options["on_gpu"] = chosen.on_gpu and not bpy.app.background
         try:
             self._job = RenderJob.start(context.scene, context.view_layer, python, **options)
         except GSkinError as error:

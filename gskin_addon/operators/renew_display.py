@@ -5,8 +5,10 @@ from __future__ import annotations
 
 import bpy
 
+from ..scene.bone_frames import armature_modifier
 from ..scene.node_builder import has_input
 from ..scene.node_groups import BY_SHADER, find_display, renew_display
+from ..scene.rotation_nodes import add_rotation, frames_of
 from ..session.chosen import chosen_splats
 
 
@@ -24,7 +26,11 @@ class GSKIN_OT_renew_display(bpy.types.Operator):
         return modifier is not None and not has_input(modifier, BY_SHADER)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        renew_display(chosen_splats(context))
+        splats = chosen_splats(context)
+        renew_display(splats)
+        frames, armature = frames_of(splats), armature_modifier(splats)
+        if frames is not None and armature is not None:
+            add_rotation(splats, frames, armature)  # the present display needs what the present nodes keep
         return {"FINISHED"}
 
 

@@ -14,18 +14,16 @@ from typing import Any
 import bpy
 
 from . import names
+from .node_algebra import Columns, combine, jacobi, parts, polar_rotation, vector
 from .node_builder import Tree, find_group, geometry_group
 
 VERSION = 1
 PROXY_INPUT = "Proxy Mesh"
 MESH_INPUT = "Anchor Mesh"
 
-POLAR_STEPS = 6
 SWEEPS = 4
 FLATTEST = 1e-5
 """Thickness relative to the longest axis at which a flat splat still has a direction in 32 bits."""
-
-Columns = list[Any]
 
 
 def anchor_group() -> bpy.types.NodeTree:
@@ -51,7 +49,7 @@ def _build(group: bpy.types.NodeTree) -> None:
     rest = _geometry(tree, tree.output(source, MESH_INPUT), "ORIGINAL")
     mesh = _with_maps(tree, _moved(tree, rest, proxy))
     corner = tree.math("MULTIPLY", tree.attribute(names.FACE, "INT"), 3.0)
-    bary = _parts(tree, tree.attribute(names.BARY, "FLOAT_VECTOR"))
+    bary = parts(tree, tree.attribute(names.BARY, "FLOAT_VECTOR"))
 
     def at_corners(field: Any) -> Columns:
         return [
@@ -66,7 +64,7 @@ def _build(group: bpy.types.NodeTree) -> None:
         ]
 
     def blended(values: Columns) -> Any:
-        return _combine(tree, values, bary)
+        return combine(tree, values, bary)
 
     corners = at_corners(tree.out("GeometryNodeInputPosition", "Position"))
     position = tree.vector("ADD", blended(corners), _offset(tree, corners))
@@ -123,13 +121,13 @@ def _with_maps(tree: Tree, mesh: Any) -> Any:
 
     to_next, to_last = edge(names.CORNER_NEXT), edge(names.CORNER_LAST)
     seen = [to_next, to_last, tree.vector("NORMALIZE", tree.vector("CROSS_PRODUCT", to_next, to_last))]
-    coefficients = [_parts(tree, tree.attribute(name, "FLOAT_VECTOR")) for name in names.MAP_COEFFICIENTS]
+    coefficients = [parts(tree, tree.attribute(name, "FLOAT_VECTOR")) for name in names.MAP_COEFFICIENTS]
     vertex = tree.out(
         "GeometryNodeVertexOfCorner", "Vertex Index", {"Corner Index": tree.out("GeometryNodeInputIndex", "Index")}
     )
     columns = []
     for k in range(3):
-        added = _combine(tree, seen, [parts[k] for parts in coefficients])
+        added = combine(tree, seen, [parts[k] for parts in coefficients])
         node = tree.node(
             "GeometryNodeAccumulateField", {0: added}, data_type="FLOAT_VECTOR", domain="CORNER"
         )
@@ -138,9 +136,9 @@ def _with_maps(tree: Tree, mesh: Any) -> Any:
     stored = [f"gskin:t_{k}" for k in range(3)]
     mesh = _store(tree, mesh, stored, columns)
     maps = [tree.attribute(name, "FLOAT_VECTOR") for name in stored]
-    mesh = _store(tree, mesh, names.MAP_ROTATION, _polar_rotation(tree, maps))
+    mesh = _store(tree, mesh, names.MAP_ROTATION, polar_rotation(tree, maps))
     rotation = [tree.attribute(name, "FLOAT_VECTOR") for name in names.MAP_ROTATION]
-    shear = [_vector(tree, [tree.vector("DOT_PRODUCT", axis, column) for axis in rotation]) for column in maps]
+    shear = [vector(tree, [tree.vector("DOT_PRODUCT", axis, column) for axis in rotation]) for column in maps]
     return _store(tree, mesh, names.MAP_SHEAR, shear)
 
 
@@ -151,24 +149,6 @@ def _store(tree: Tree, geometry: Any, labels: Any, values: Columns) -> Any:
             "GeometryNodeStoreNamedAttribute", "Geometry", inputs, data_type="FLOAT_VECTOR", domain="POINT"
         )
     return geometry
-
-
-def _polar_rotation(tree: Tree, columns: Columns) -> Columns:
-    """Columns of the R in T = R S, by Newton's iteration X <- (X + X^-T) / 2, each step from unit determinant.
-
-    A mirrored T (a ring turned inside out) gives a reflection here and a rotation in the core.
-    """
-    x = list(columns)
-    for _ in range(POLAR_STEPS):
-        a, b, c = x
-        cofactor = [tree.vector("CROSS_PRODUCT", *pair) for pair in ((b, c), (c, a), (a, b))]
-        determinant = tree.vector("DOT_PRODUCT", a, cofactor[0])
-        factor = tree.math("POWER", tree.math("ABSOLUTE", determinant), -1 / 3)
-        old = tree.math("MULTIPLY", factor, 0.5)
-        new = tree.math("DIVIDE", 0.5, tree.math("MULTIPLY", factor, determinant))
-        pairs = zip(x, cofactor, strict=True)
-        x = [tree.vector("ADD", tree.scale(axis, old), tree.scale(other, new)) for axis, other in pairs]
-    return x
 
 
 def _offset(tree: Tree, corners: Columns) -> Any:
@@ -183,15 +163,15 @@ def _offset(tree: Tree, corners: Columns) -> Any:
     radius = tree.math("MINIMUM", radius, most)
     normal, tangent = tree.vector("NORMALIZE", across), tree.vector("NORMALIZE", first)
     frame = [tangent, tree.vector("CROSS_PRODUCT", normal, tangent), normal]
-    local = _parts(tree, tree.attribute(names.RESIDUAL, "FLOAT_VECTOR"))
+    local = parts(tree, tree.attribute(names.RESIDUAL, "FLOAT_VECTOR"))
     local[2] = tree.math("ADD", local[2], tree.attribute(names.BETA, "FLOAT"))
-    return tree.scale(_combine(tree, frame, local), radius)
+    return tree.scale(combine(tree, frame, local), radius)
 
 
 def _gaussian(tree: Tree, rotation: Columns, shear: Columns) -> tuple[Any, Any]:
     """The splat's new rotation and scale: Sigma' = T Sigma T^T, T = rotation x shear (columns)."""
     old = tree.attribute(names.ROTATION, "QUATERNION")
-    sizes = _parts(tree, tree.attribute(names.SCALE, "FLOAT_VECTOR"))
+    sizes = parts(tree, tree.attribute(names.SCALE, "FLOAT_VECTOR"))
     longest = tree.math("MAXIMUM", tree.math("MAXIMUM", sizes[0], sizes[1]), sizes[2])
     columns = []
     for k in range(3):
@@ -200,43 +180,11 @@ def _gaussian(tree: Tree, rotation: Columns, shear: Columns) -> tuple[Any, Any]:
         inputs = {"Vector": tuple(axis), "Rotation": old}
         direction = tree.out("FunctionNodeRotateVector", "Vector", inputs)
         relative = tree.math("MAXIMUM", tree.math("DIVIDE", sizes[k], longest), FLATTEST)
-        moved = _combine(tree, rotation, _parts(tree, _combine(tree, shear, _parts(tree, direction))))
+        moved = combine(tree, rotation, parts(tree, combine(tree, shear, parts(tree, direction))))
         columns.append(tree.scale(moved, relative))
     for _ in range(SWEEPS):
         for p, q in ((0, 1), (0, 2), (1, 2)):
-            columns[p], columns[q] = _jacobi(tree, columns[p], columns[q])
+            columns[p], columns[q] = jacobi(tree, columns[p], columns[q])
     axes = {"Primary Axis": columns[0], "Secondary Axis": columns[1]}
     turned = tree.out("FunctionNodeAxesToRotation", "Rotation", axes, primary_axis="X", secondary_axis="Y")
-    return turned, tree.scale(_vector(tree, [tree.vector("LENGTH", column) for column in columns]), longest)
-
-
-def _jacobi(tree: Tree, a: Any, b: Any) -> tuple[Any, Any]:
-    """Two columns turned into each other until they are orthogonal (`core.rig.covariance.orthogonal_axes`)."""
-    aa, bb, ab = (tree.vector("DOT_PRODUCT", *pair) for pair in ((a, a), (b, b), (a, b)))
-    difference = tree.math("SUBTRACT", bb, aa)
-    twice = tree.math("MULTIPLY", ab, 2.0)
-    root = tree.math("SQRT", tree.math("MULTIPLY_ADD", difference, difference, tree.math("MULTIPLY", twice, twice)))
-    root = tree.math("ADD", tree.math("ABSOLUTE", difference), root)
-    sign = tree.math("MULTIPLY_ADD", tree.math("LESS_THAN", difference, 0.0), -2.0, 1.0)
-    t = tree.math("DIVIDE", tree.math("MULTIPLY", sign, twice), root)  # 0 / 0 is 0 in these nodes
-    c = tree.math("INVERSE_SQRT", tree.math("MULTIPLY_ADD", t, t, 1.0))
-    s = tree.math("MULTIPLY", c, t)
-    first = tree.vector("SUBTRACT", tree.scale(a, c), tree.scale(b, s))
-    return first, tree.vector("ADD", tree.scale(a, s), tree.scale(b, c))
-
-
-def _parts(tree: Tree, vector: Any) -> Columns:
-    node = tree.node("ShaderNodeSeparateXYZ", {"Vector": vector})
-    return [tree.output(node, axis) for axis in "XYZ"]
-
-
-def _vector(tree: Tree, parts: Columns) -> Any:
-    return tree.out("ShaderNodeCombineXYZ", "Vector", dict(zip("XYZ", parts, strict=True)))
-
-
-def _combine(tree: Tree, vectors: Columns, factors: Columns) -> Any:
-    """sum_k factors[k] vectors[k]."""
-    total = tree.scale(vectors[0], factors[0])
-    for vector, factor in zip(vectors[1:], factors[1:], strict=True):
-        total = tree.vector("ADD", total, tree.scale(vector, factor))
-    return total
+    return turned, tree.scale(vector(tree, [tree.vector("LENGTH", column) for column in columns]), longest)

@@ -75,6 +75,17 @@ def keep_only(needed: list[bpy.types.Object], added: Iterable[bpy.types.Object])
     bpy.context.view_layer.update()
 
 
+def own_rig(armature: bpy.types.Object) -> bpy.types.Object:
+    """`make_local` for an armature of the scene; what is new is linked to the scene."""
+    armature = make_local(armature)
+    present = set(bpy.context.scene.objects)
+    for obj in needed_objects(armature):
+        if obj not in present:
+            bpy.context.scene.collection.objects.link(obj)
+    bpy.context.view_layer.update()
+    return armature
+
+
 def make_local(armature: bpy.types.Object) -> bpy.types.Object:
     """Make an armature and all that moves it the file's own, no matter whether it was linked or overridden.
 
@@ -146,6 +157,10 @@ def _armature_in(
     direct = placed or ([] if places else loose)
     if direct:
         return choose(list(dict.fromkeys(direct))), None
+    missing = [library.filepath for library in bpy.data.libraries if library.is_missing] if not places else []
+    if missing:
+        files = ", ".join(f"'{name}'" for name in missing)
+        raise InputError(f"'{path}' has no armature of its own, and what it links is missing: {files}; put it back.")
     armature = choose(list(places))
     if len(places[armature]) > 1:
         names = ", ".join(f"'{obj.name}'" for obj in places[armature])

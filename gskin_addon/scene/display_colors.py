@@ -18,22 +18,38 @@ Sampled = Callable[[Any, str], Any]
 """Gives a splat attribute, by name and Blender's type, at the drawn points."""
 
 
-def splat_color(tree: Tree, sampled: Sampled, show_bones: Any, show_confidence: Any, show_weights_of: Any) -> Any:
-    """Field of linear colour and opacity of the drawn points."""
-    srgb, _ = splat_srgb(tree, sampled, show_bones, show_confidence, show_weights_of)
+def splat_color(
+    tree: Tree,
+    sampled: Sampled,
+    show_bones: Any,
+    show_confidence: Any,
+    show_weights_of: Any,
+    *,
+    seen: Callable[[Any], Any] | None = None,
+) -> Any:
+    """Field of linear colour and opacity of the drawn points; seen: see `splat_srgb`."""
+    srgb, _ = splat_srgb(tree, sampled, show_bones, show_confidence, show_weights_of, seen=seen)
     base = sampled(names.BASE, "FLOAT_COLOR")
     return _linear(tree, srgb, tree.output(tree.node("FunctionNodeSeparateColor", {"Color": base}), "Alpha"))
 
 
 def splat_srgb(
-    tree: Tree, sampled: Sampled, show_bones: Any, show_confidence: Any, show_weights_of: Any
+    tree: Tree,
+    sampled: Sampled,
+    show_bones: Any,
+    show_confidence: Any,
+    show_weights_of: Any,
+    *,
+    seen: Callable[[Any], Any] | None = None,
 ) -> tuple[Any, Any]:
     """Field of sRGB colour as a vector, and whether it is another than the captured one (a single boolean).
 
-    The switches are single values, so only the chosen colours are computed.
+    The switches are single values, so only the chosen colours are computed. seen: gives the captured colours from the
+    constant coefficients, where the harmonics beyond shall count (`seen_color.py`).
     """
     base = sampled(names.BASE, "FLOAT_COLOR")
-    inputs = {"Switch": show_bones, "False": _captured(tree, base), "True": _by_bones(tree, sampled)}
+    captured = _captured(tree, base) if seen is None else seen(base)
+    inputs = {"Switch": show_bones, "False": captured, "True": _by_bones(tree, sampled)}
     srgb = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="VECTOR")
     # One more switch of colours would cost every frame; what is shown as heat is chosen by its name instead.
     inputs = {"Switch": show_confidence, "False": show_weights_of, "True": names.CONFIDENCE}

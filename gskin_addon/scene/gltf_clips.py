@@ -27,7 +27,7 @@ def clips_of(armatures: Sequence[bpy.types.Object], *, posed: bool, animations: 
     stand_in: bpy.types.Action | None = None
     own = {armature: own_parts(armature) for armature in armatures}
     moved = {armature: [obj for obj in needed_objects(armature) if obj != armature] for armature in armatures}
-    kept = [(obj, _assigned(obj)) for obj in dict.fromkeys(obj for objects in moved.values() for obj in objects)]
+    kept = [_Kept(obj) for obj in dict.fromkeys(obj for objects in moved.values() for obj in objects)]
     bake = animations and any(not own[armature] and is_animated([armature, *moved[armature]]) for armature in armatures)
     try:
         for armature in armatures:
@@ -44,9 +44,8 @@ def clips_of(armatures: Sequence[bpy.types.Object], *, posed: bool, animations: 
         _companions.clear()
         for data, position in positions:
             data.pose_position = position
-        for obj, part in kept:
-            if part is not None and _assigned(obj) != part:
-                assign(obj, part)
+        for each in kept:
+            each.put_back()
         if stand_in is not None:
             bpy.data.actions.remove(stand_in)
 
@@ -57,9 +56,13 @@ def keep_own(obj: bpy.types.Object, gathered: Any) -> None:
         for action_key, datas in list(gathered.actions.items()):
             for data in datas:
                 data.slots = [slot for slot in data.slots if belongs(Part(data.action, slot.slot), obj)]
-            gathered.actions[action_key] = [data for data in datas if data.slots]
-            if not gathered.actions[action_key]:
+            left = [data for data in datas if data.slots]
+            if not left:
                 del gathered.actions[action_key]
+                continue
+            gathered.actions[action_key] = left
+            if len(left) == 1:
+                left[0].name = left[0].action.name  # it was told from others' clips of the same action
     else:  # before Blender 4.4
         gathered.blender_actions = [action for action in gathered.blender_actions if belongs(Part(action), obj)]
 
@@ -70,6 +73,26 @@ def play_companions(obj: bpy.types.Object, action: bpy.types.Action) -> None:
         own = [part for part in parts_of(action) if part.slot is not None and belongs(part, other)]
         if len(own) == 1:
             assign(other, own[0])
+
+
+class _Kept:
+    """An object's action and place, and those of its bones, to be put back after clips were played."""
+
+    def __init__(self, obj: bpy.types.Object) -> None:
+        self._obj, self._part = obj, _assigned(obj)
+        bones = obj.pose.bones if obj.pose is not None else ()
+        self._places = [(each, each.matrix_basis.copy()) for each in (obj, *bones)]
+
+    def put_back(self) -> None:
+        if _assigned(self._obj) == self._part:
+            return
+        if self._part is not None:
+            assign(self._obj, self._part)
+        else:
+            data: Any = self._obj.animation_data
+            data.action = None
+        for each, place in self._places:
+            each.matrix_basis = place
 
 
 def _assigned(obj: bpy.types.Object) -> Part | None:

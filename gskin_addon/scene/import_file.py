@@ -59,6 +59,7 @@ def import_steps(
     if assumed:
         words.append(assumed)
     if options.place:
+        yield 1.0
         within = _armature_within(scene, cloud)
         if within is not None:
             words.append(f"not moved, '{within.name}' lies within them")

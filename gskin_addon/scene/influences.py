@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from ..core.rig.lbs import few_influences, top_influences
 from . import names
-from .attributes import read_attribute, write_attribute
+from .armature import deform_bones
+from .attributes import ObjectData, read_attribute, read_positions, write_attribute
+from .bone_frames import armature_of
 from .steps import SLICE
 
 Array = NDArray[Any]
@@ -71,7 +73,18 @@ def write_influences(
     for slot in range(slots):
         write_attribute(obj.data, names.BONE.format(slot), "INT", bone[slot])
         write_attribute(obj.data, names.WEIGHT.format(slot), "FLOAT", weight[slot])
+    _keep_rest(obj)
     obj.data.update()
+
+
+def _keep_rest(obj: bpy.types.Object) -> None:
+    """Store where the splats are at rest, if bendy bones move them: which segment that is says the place at rest."""
+    armature = armature_of(obj)
+    mesh: ObjectData = obj.data
+    if armature is not None and any(bone.bbone_segments > 1 for bone in deform_bones(armature)):
+        write_attribute(mesh, names.REST, "FLOAT_VECTOR", read_positions(mesh))
+    elif names.REST in mesh.attributes:
+        mesh.attributes.remove(mesh.attributes[names.REST])
 
 
 def splats_without_bones(obj: bpy.types.Object) -> int:

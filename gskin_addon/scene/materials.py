@@ -10,19 +10,32 @@ import bpy
 from . import names
 from .node_builder import Tree
 
-VERSION = 1
+VERSION = 2
 
 FAINTEST = 1 / 64
 """Alpha at which a rendered splat is cut off. Every hit costs Cycles a ray, so this is a matter of time."""
 
 
+SEE_THROUGH = 0.75
+"""Alpha of an octahedron by its splat's opacity: about the Gaussian's mean over it."""
+
+
 def viewport_material() -> bpy.types.Material:
-    """Flat, opaque colour from the mesh attribute `names.COLOR`; built once per file."""
+    """Flat colour from the mesh attribute `names.COLOR`, as translucent as the splat; built once per file.
+
+    Drawn opaque, as Solid mode must, translucent splats hide what they should tint: 20 dB on a captured face, 28 so.
+    """
     material, tree = _new("GSkin Splats (Viewport)")
     if tree is not None:
-        color = tree.out("ShaderNodeAttribute", "Color", attribute_type="GEOMETRY", attribute_name=names.COLOR)
-        shader = tree.out("ShaderNodeEmission", "Emission", {"Color": color})
+        color = tree.node("ShaderNodeAttribute", attribute_type="GEOMETRY", attribute_name=names.COLOR)
+        shader = tree.out("ShaderNodeEmission", "Emission", {"Color": tree.output(color, "Color")})
+        # Each octahedron is seen once, by its front.
+        front = tree.math("SUBTRACT", 1.0, tree.out("ShaderNodeNewGeometry", "Backfacing"))
+        alpha = tree.math("MULTIPLY", tree.math("MULTIPLY", tree.output(color, "Alpha"), SEE_THROUGH), front)
+        clear = tree.out("ShaderNodeBsdfTransparent", "BSDF")
+        shader = tree.out("ShaderNodeMixShader", "Shader", {0: alpha, 1: clear, 2: shader})
         tree.node("ShaderNodeOutputMaterial", {"Surface": shader})
+        material.surface_render_method = "DITHERED"
     return material
 
 

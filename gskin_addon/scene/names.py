@@ -20,6 +20,9 @@ PLACES = "gskin_places"
 FRAMES_MARK = "gskin_bone_frames"
 """Custom property that marks the hidden helper mesh of bone frames."""
 
+FRAMES_LAYOUT = "gskin_layout"
+"""Custom property of the bone frames: what their points were made for."""
+
 OCTAHEDRA_MARK = "gskin_octahedra"
 """Custom property that marks the hidden helper whose faces the display borrows."""
 OCTAHEDRON_MARK = "gskin_octahedron"
@@ -42,6 +45,24 @@ WEIGHT = "gskin:weight_{}"
 
 TURN = "gskin:turn"
 """How the bones turn each splat (quaternion wxyz, object space); exists only on the evaluated mesh."""
+
+REST = "gskin:rest"
+"""Where each splat is at rest (object space); exists where bendy bones move it."""
+
+# On the points of the bone frames, by frame: its axes and origin at rest, the length of its axes, of bendy bones the
+# first joint, the number of segments and their length, and whether the frame is such a joint.
+FRAME_AXES = "gskin:axes"
+FRAME_ORIGIN = "gskin:origin"
+FRAME_SIZE = "gskin:size"
+FRAME_BEND = "gskin:bend"
+FRAME_JOINT = "gskin:joint"
+
+# While the rotation nodes run: on the frames, the bone's map, how it stretches, and the way into the frame at rest; on
+# the splats, new axes (columns) and turn of those that are stretched.
+FRAME_MAP = "gskin:map"
+FRAME_STRETCH = "gskin:stretch"
+FRAME_INVERSE = "gskin:inverse"
+SHAPE = "gskin:shape"
 
 CONFIDENCE = "gskin:confidence"
 """How sure the weights of each splat are, 0 to 1; exists where the method that made them knows."""

@@ -21,6 +21,9 @@ from .node_builder import Tree
 MAX_DEGREE = 3
 """Highest degree that Blender draws; higher bands are left out."""
 
+POSITION_STEPS = 2**22
+"""Into how many steps Blender divides the extent of all splats on each axis; one far splat makes all places coarse."""
+
 NUDGE = 1e-4
 """By how much the first and the last axis are made larger and smaller: exact balls vanish or turn black."""
 

@@ -3,13 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import bpy
 
 Value = Any
 """An output socket, or a constant for the input it goes to."""
+Input = Callable[[str], Value]
+"""Inside a node group: its input of a label."""
 
 
 class Tree:
@@ -77,9 +79,20 @@ class Tree:
         inputs = {"Geometry": geometry, "Name": name, "Value": value}
         return self.out("GeometryNodeStoreNamedAttribute", "Geometry", inputs, data_type=kind, domain="POINT")
 
+    def has(self, geometry: Value, name: str, kind: str) -> Value:
+        """Whether the geometry has an attribute on its points, as a single boolean: looked up at the first one."""
+        exists = self.out("GeometryNodeInputNamedAttribute", "Exists", {"Name": name}, data_type=kind)
+        inputs = {"Geometry": geometry, "Value": exists, "Index": 0}
+        return self.out("GeometryNodeSampleIndex", "Value", inputs, data_type="BOOLEAN", domain="POINT")
+
     def object_geometry(self, obj: Value) -> Value:
         """An object's evaluated geometry in its own space."""
         return self.out("GeometryNodeObjectInfo", "Geometry", {"Object": obj}, transform_space="ORIGINAL")
+
+    def call(self, group: bpy.types.NodeTree, inputs: Mapping[str, Value]) -> dict[str, Value]:
+        """A node group as a node, with its inputs by label; gives its outputs by label."""
+        node = self.node("GeometryNodeGroup", inputs, node_tree=group)
+        return {socket.name: socket for socket in node.outputs if socket.enabled and socket.name}
 
     def domain_size(self, geometry: Value, component: str) -> Value:
         """The number of points of a mesh or point cloud."""
@@ -107,6 +120,33 @@ def geometry_group(name: str, version: int, inputs: list[tuple[str, str, dict[st
             setattr(socket, key, value)
     group.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
     return group, True
+
+
+def function_group(
+    name: str,
+    version: int,
+    inputs: Mapping[str, str],
+    outputs: Mapping[str, str],
+    build: Callable[[Tree, Input], Mapping[str, Value]],
+) -> bpy.types.NodeTree:
+    """The node group of this name and version, for use inside others; built where there is none.
+
+    inputs, outputs: kind of socket ("Vector") by label. build(tree, input) gives the outputs, input(label) an input.
+    What is used more than once is a group of its own: Blender takes the square of a tree's size to build it.
+    """
+    group: Any
+    for group in bpy.data.node_groups:
+        if group.get("gskin_group") == name and group.get("gskin_version") == version and group.library is None:
+            return group
+    group = bpy.data.node_groups.new(name, "GeometryNodeTree")
+    group["gskin_group"], group["gskin_version"] = name, version
+    for way, sockets in (("INPUT", inputs), ("OUTPUT", outputs)):
+        for label, kind in sockets.items():
+            group.interface.new_socket(label, in_out=way, socket_type=f"NodeSocket{kind}")
+    tree = Tree(group)
+    source = tree.node("NodeGroupInput")
+    tree.node("NodeGroupOutput", build(tree, lambda label: tree.output(source, label)))
+    return group
 
 
 def find_group(obj: bpy.types.Object, name: str) -> bpy.types.NodesModifier | None:

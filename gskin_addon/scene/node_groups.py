@@ -7,7 +7,6 @@ Solid mode too; in renders they are instances of a sphere whose material fades l
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from typing import Any
 
@@ -17,10 +16,11 @@ import numpy as np
 from . import names
 from .attributes import read_attribute
 from .display_colors import SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF, splat_color, splat_srgb
-from .materials import FAINTEST, render_material
 from .native_nodes import has_native_splats, native_splats
 from .node_builder import Tree, add_modifier, find_group, geometry_group, get_input, has_input, set_input
 from .octahedra import CORNERS, ensure_octahedra, octahedra_count
+from .seen_color import seen_color
+from .soft_nodes import soft_splats
 from .viewport.nodes import shader_points
 
 VERSION = 5
@@ -36,6 +36,8 @@ _NATIVE_INPUT: tuple[str, str, dict[str, Any]] = (
     "NodeSocketBool",
     {"default_value": True, "description": "Draw Blender's own Gaussian splats in every engine; off, ellipsoids"},
 )
+
+FACING = "Face Camera"
 
 _INPUTS: list[tuple[str, str, dict[str, Any]]] = [
     (
@@ -68,6 +70,15 @@ _INPUTS: list[tuple[str, str, dict[str, Any]]] = [
             "max_value": 1.0,
             "subtype": "FACTOR",
             "description": "Splats below this opacity are not drawn in the viewport, where all look opaque",
+        },
+    ),
+    (
+        FACING,
+        "NodeSocketBool",
+        {
+            "default_value": True,
+            "description": "Renders draw each splat as a disc that faces the scene's camera, blended in the right "
+            "order; off, as an ellipsoid, which mirrors show whole",
         },
     ),
     (
@@ -115,6 +126,12 @@ def display_group() -> bpy.types.NodeTree:
 def find_display(obj: bpy.types.Object) -> bpy.types.NodesModifier | None:
     """The object's display modifier, by its node group and not by its name."""
     return find_group(obj, names.DISPLAY_MODIFIER)
+
+
+def draws_native(obj: bpy.types.Object) -> bool:
+    """Whether the object is drawn as Blender's own splats (5.3 and later)."""
+    modifier = find_display(obj)
+    return modifier is not None and has_input(modifier, NATIVE) and bool(get_input(modifier, NATIVE))
 
 
 def add_display(obj: bpy.types.Object) -> bpy.types.NodesModifier:
@@ -176,7 +193,7 @@ def _build(group: bpy.types.NodeTree) -> None:
     base = sampled(names.BASE, "FLOAT_COLOR")
     opacity = tree.output(tree.node("FunctionNodeSeparateColor", {"Color": base}), "Alpha")
     shown_as = [tree.output(source, label) for label in (SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF)]
-    color = splat_color(tree, sampled, *shown_as)
+    color = splat_color(tree, sampled, *shown_as, seen=partial(seen_color, tree, splats, sampled))
     points = tree.out("GeometryNodePoints", "Points", {"Count": shown, "Position": sampled("position", "FLOAT_VECTOR")})
 
     points = tree.store(points, names.COLOR, "FLOAT_COLOR", color)
@@ -196,9 +213,9 @@ def _build(group: bpy.types.NodeTree) -> None:
     wider = tree.math("MULTIPLY", tree.math("SQRT", tree.math("MINIMUM", step, 9.0)), VIEWPORT_SIGMAS)
     wider = tree.math("MULTIPLY", size, wider)
     faint = tree.math("LESS_THAN", opacity, tree.output(source, "Minimum Opacity"))
-    seen = tree.store(points, names.ROTATION, "QUATERNION", rotation)
-    seen = tree.store(seen, names.SCALE, "FLOAT_VECTOR", scale)
-    inputs = {"Geometry": seen, "Selection": faint}
+    placed = tree.store(points, names.ROTATION, "QUATERNION", rotation)
+    placed = tree.store(placed, names.SCALE, "FLOAT_VECTOR", scale)
+    inputs = {"Geometry": placed, "Selection": faint}
     seen = tree.out("GeometryNodeDeleteGeometry", "Geometry", inputs, domain="POINT")
     borrowed = tree.object_geometry(tree.output(source, OCTAHEDRA))
     # Where the settings were just changed, the helper may have another number; then faces are made the slow way.
@@ -211,12 +228,7 @@ def _build(group: bpy.types.NodeTree) -> None:
     inputs = {"Switch": fits, "False": made, "True": _place(tree, borrowed, seen, wider)}
     solid = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
 
-    sphere = tree.out("GeometryNodeMeshIcoSphere", "Mesh", {"Radius": 1.0, "Subdivisions": 2})
-    sphere = tree.out("GeometryNodeSetMaterial", "Geometry", {"Geometry": sphere, "Material": render_material()})
-    # The radius, in standard deviations, that `render_material` takes the sphere to have.
-    ratio = tree.math("MAXIMUM", tree.math("MULTIPLY", opacity, 1 / FAINTEST), 1.0)
-    reach = tree.math("SQRT", tree.math("MULTIPLY", tree.math("LOGARITHM", ratio, math.e), 2.0))
-    soft = instances(sphere, tree.math("MULTIPLY", size, reach), tree.math("GREATER_THAN", reach, 0.0))
+    soft = soft_splats(tree, placed, opacity, size, tree.output(source, FACING))
 
     bare = shader_points(tree, splats, shown_as, partial(splat_color, tree))
     inputs = {"Switch": tree.output(source, BY_SHADER), "False": solid, "True": bare}
@@ -243,8 +255,9 @@ def _native(tree: Tree, source: Any) -> Any:
         inputs = {"Geometry": splats, "Value": tree.attribute(name, kind), "Index": index}
         return tree.out("GeometryNodeSampleIndex", "Value", inputs, data_type=kind, domain="POINT")
 
-    shown_as = (tree.output(source, label) for label in (SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF))
-    srgb, special = splat_srgb(tree, sampled, *shown_as)
+    shown_as = (SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF)
+    bones, confidence, weights = (tree.output(source, label) for label in shown_as)
+    srgb, special = splat_srgb(tree, sampled, bones, confidence, weights)
     return native_splats(tree, splats, tree.output(source, "Size"), special, srgb)
 
 

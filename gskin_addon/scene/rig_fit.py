@@ -14,7 +14,8 @@ from ..core.rig.rig_scale import ScaleGuess, guess_scale
 from ..core.rig.skeleton import Skeleton
 from ..core.splats.cleanup import find_strays
 from ..core.splats.cloud import SplatCloud
-from .attributes import ObjectData, read_positions
+from . import names
+from .attributes import ObjectData, read_attribute, read_positions
 
 Array = NDArray[Any]
 
@@ -27,21 +28,30 @@ _GAP = 0.03
 
 @dataclass(frozen=True, eq=False)
 class SplatSample:
-    """points (n, 3) float64 in the object's own space, without strays; strays: their share of the splats, 0 to 1."""
+    """points (n, 3) float64 in the object's own space, without strays; strays: their share of the splats, 0 to 1.
+
+    reach: the largest extent of all splats, strays too; size: the median standard deviation of a splat; both metres
+    in the object's own space.
+    """
 
     points: Array
     strays: float
+    reach: float
+    size: float
 
 
 def sample_splats(obj: bpy.types.Object) -> SplatSample:
     """At most `SAMPLE` evenly picked splats of a splat object with at least two, at rest."""
     points = read_positions(obj.data)
+    reach = float(np.ptp(points, axis=0).max())
+    scales = read_attribute(obj.data, names.SCALE)
     points = points[:: -(-len(points) // SAMPLE)]
     blank = np.zeros((len(points), 1, 3), np.float32)
     ones = np.ones((len(points), 4), np.float32)
     stray = find_strays(SplatCloud(points, ones / 2, ones[:, :3], ones[:, 0], blank), gap=_GAP)
     kept = points if stray.all() else points[~stray]
-    return SplatSample(kept.astype(np.float64), float(stray.mean()))
+    size = 0.0 if scales is None else float(np.median(scales[:: max(1, len(scales) // SAMPLE)]))
+    return SplatSample(kept.astype(np.float64), float(stray.mean()), reach, size)
 
 
 def to_world(points: Array, obj: bpy.types.Object) -> Array:

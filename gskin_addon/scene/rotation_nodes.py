@@ -3,7 +3,8 @@
 
 The Armature modifier moves vertices and leaves the `rotation` attribute. This group samples the bone frames (see
 `bone_frames.py`), builds each bone's rotation, blends the quaternions of the splat's strongest bones with their
-weights, signs aligned to the first, keeps the result as `gskin:turn` and turns `rotation` by it.
+weights, signs aligned to the first, keeps the result as `gskin:turn` and turns `rotation` by it. In poses in which
+bones are more than rotations, `stretch_nodes.py` changes turn, rotation and scale of their splats.
 """
 
 from __future__ import annotations
@@ -12,18 +13,27 @@ from typing import Any
 
 import bpy
 
+from ..core.rig.stretch import RIGID
 from . import names
-from .node_builder import Tree, add_modifier, find_group, geometry_group, get_input, set_input
+from .bone_frames import has_joints
+from .frame_nodes import bone_points, choose, largest
+from .node_algebra import parts
+from .node_builder import Input, Tree, add_modifier, find_group, function_group, geometry_group, get_input, set_input
+from .stretch_nodes import influences, stretched_splats
 
-VERSION = 2
+VERSIONS = {False: 3, True: 4}
+"""Of the group, without and with what bendy bones need: it takes a third of a second to build."""
+GROUPS = 1
+"""Version of the groups inside."""
 FRAMES_INPUT = "Bone Frames"
 
 
-def rotation_group() -> bpy.types.NodeTree:
-    """The shared node group "GSkin Rotation"; built once per file."""
-    group, new = geometry_group(names.ROTATION_MODIFIER, VERSION, [(FRAMES_INPUT, "NodeSocketObject", {})])
+def rotation_group(*, bendy: bool = False) -> bpy.types.NodeTree:
+    """The shared node group "GSkin Rotation", with `bendy` for bones with segments; built once per file."""
+    inputs: list[Any] = [(FRAMES_INPUT, "NodeSocketObject", {})]
+    group, new = geometry_group(names.ROTATION_MODIFIER, VERSIONS[bendy], inputs)
     if new:
-        _build(group)
+        _build(group, bendy)
     return group
 
 
@@ -43,63 +53,87 @@ def add_rotation(obj: bpy.types.Object, frames: bpy.types.Object, after: bpy.typ
     modifier = find_rotation(obj)
     if modifier is None:
         modifier = add_modifier(obj, names.ROTATION_MODIFIER)
-    modifier.node_group = rotation_group()
+    modifier.node_group = rotation_group(bendy=has_joints(frames))
     set_input(modifier, FRAMES_INPUT, frames)
     here, there = obj.modifiers.find(modifier.name), obj.modifiers.find(after.name)
     obj.modifiers.move(here, there + 1 if here > there else there)
 
 
-def _build(group: bpy.types.NodeTree) -> None:
+def _build(group: bpy.types.NodeTree, bendy: bool) -> None:
     tree = Tree(group)
     source = tree.node("NodeGroupInput")
     geometry, frames = tree.output(source, "Geometry"), tree.output(source, FRAMES_INPUT)
     info = tree.node("GeometryNodeObjectInfo", {"Object": frames}, transform_space="RELATIVE")
-    blended = _blend(tree, tree.output(info, "Geometry"), _bone_turn(tree, tree.output(info, "Rotation")))
+    bones = bone_points(tree, info)
+    stretch = parts(tree, tree.attribute(names.FRAME_STRETCH, "FLOAT_VECTOR"))[0]
+    uneven = tree.math("GREATER_THAN", largest(tree, bones, stretch), RIGID)
+    kinds = {"Geometry": "Geometry", "Bones": "Geometry"}
+    made = []
+    odd = ("GSkin Bendy", _bendy) if bendy else ("GSkin Stretched", _plain)
+    for name, build in (("GSkin Turned", _turned), odd):
+        group_of = function_group(name, GROUPS, kinds, {"Geometry": "Geometry"}, build)
+        made.append(tree.call(group_of, {"Geometry": geometry, "Bones": bones})["Geometry"])
+    # The condition is a single value: what is not asked for is not computed.
+    tree.node("NodeGroupOutput", {"Geometry": choose(tree, uneven, made[0], made[1], "GEOMETRY")})
+
+
+def _turned(tree: Tree, given: Input) -> dict[str, Any]:
+    """The splats where all bones are plain rotations."""
+    found = []
+    for slot in range(names.INFLUENCES):
+        bone = tree.attribute(names.BONE.format(slot), "INT")
+        inputs = {"Geometry": given("Bones"), "Value": tree.attribute(names.TURN, "QUATERNION"), "Index": bone}
+        turn = tree.out("GeometryNodeSampleIndex", "Value", inputs, data_type="QUATERNION", domain="POINT")
+        found.append((tree.attribute(names.WEIGHT.format(slot), "FLOAT"), turn))
     # Stored before it is used: whoever turns the harmonics needs it too, and as a field it would be blended twice.
-    geometry = tree.store(geometry, names.TURN, "QUATERNION", blended)
+    geometry = tree.store(given("Geometry"), names.TURN, "QUATERNION", _blended(tree, found))
     rest, turn = (tree.attribute(name, "QUATERNION") for name in (names.ROTATION, names.TURN))
     inputs = {"Rotation": rest, "Rotate By": turn}
     rotation = tree.out("FunctionNodeRotateRotation", "Rotation", inputs, rotation_space="GLOBAL")
-    tree.node("NodeGroupOutput", {"Geometry": tree.store(geometry, names.ROTATION, "QUATERNION", rotation)})
+    return {"Geometry": tree.store(geometry, names.ROTATION, "QUATERNION", rotation)}
 
 
-def _bone_turn(tree: Tree, rest: Any) -> Any:
-    """Field over the frames' vertices: at index b, the rotation of bone b in the splat object's space.
-
-    The frames arrive in the splat object's space, so their axes carry its rotation too: `rest`, the rotation
-    between the two objects, is taken off on the right.
-    """
-    index = tree.out("GeometryNodeInputIndex", "Index")
-    position = tree.out("GeometryNodeInputPosition", "Position")
-    first = tree.math("MULTIPLY", index, 4.0)
-
-    def corner(offset: float) -> Any:
-        inputs = {"Value": position, "Index": tree.math("ADD", first, offset)}
-        return tree.out("GeometryNodeFieldAtIndex", "Value", inputs, data_type="FLOAT_VECTOR", domain="POINT")
-
-    head = corner(0.0)
-    axes = {
-        "Primary Axis": tree.vector("SUBTRACT", corner(3.0), head),
-        "Secondary Axis": tree.vector("SUBTRACT", corner(1.0), head),
-    }
-    posed = tree.out("FunctionNodeAxesToRotation", "Rotation", axes, primary_axis="Z", secondary_axis="X")
-    inverse = tree.out("FunctionNodeInvertRotation", "Rotation", {"Rotation": rest})
-    inputs = {"Rotation": posed, "Rotate By": inverse}
-    return tree.out("FunctionNodeRotateRotation", "Rotation", inputs, rotation_space="LOCAL")
+def _plain(tree: Tree, given: Input) -> dict[str, Any]:
+    """The splats where some bones are more than rotations."""
+    return _stretched(tree, given, bendy=False)
 
 
-def _blend(tree: Tree, frames: Any, turn: Any) -> Any:
-    """The weighted sum of the bones' quaternions, as a rotation (which normalises it)."""
+def _bendy(tree: Tree, given: Input) -> dict[str, Any]:
+    """The splats where some bones are more than rotations, and some have segments."""
+    return _stretched(tree, given, bendy=True)
+
+
+def _stretched(tree: Tree, given: Input, *, bendy: bool) -> dict[str, Any]:
+    found = influences(tree, given("Bones"), bendy=bendy)
+    blended = _blended(tree, [(each.weight, each.turn) for each in found])
+    splats = tree.store(given("Geometry"), names.TURN, "QUATERNION", blended)
+    return {"Geometry": stretched_splats(tree, splats, found)}
+
+
+def _blended(tree: Tree, found: list[tuple[Any, Any]]) -> Any:
+    """Eq. 3 for weights and rotations, the strongest first."""
+    kinds: dict[str, str] = {}
+    inputs: dict[str, Any] = {}
+    for slot, (weight, turn) in enumerate(found):
+        kinds |= {f"Weight {slot}": "Float", f"Turn {slot}": "Rotation"}
+        inputs |= {f"Weight {slot}": weight, f"Turn {slot}": turn}
+
+    def build(tree: Tree, given: Input) -> dict[str, Any]:
+        pairs = [(given(f"Weight {slot}"), given(f"Turn {slot}")) for slot in range(len(found))]
+        return {"Rotation": _blend(tree, pairs)}
+
+    group = function_group("GSkin Blend", GROUPS, kinds, {"Rotation": "Rotation"}, build)
+    return tree.call(group, inputs)["Rotation"]
+
+
+def _blend(tree: Tree, influences: list[tuple[Any, Any]]) -> Any:
+    """The weighted sum of quaternions, given as weight and rotation, the strongest first; normalised, as a rotation."""
     total_w: Any = None
     total_v: Any = None
     first_w: Any = None
     first_v: Any = None
-    for slot in range(names.INFLUENCES):
-        bone = tree.attribute(names.BONE.format(slot), "INT")
-        weight = tree.attribute(names.WEIGHT.format(slot), "FLOAT")
-        inputs = {"Geometry": frames, "Value": turn, "Index": bone}
-        sampled = tree.out("GeometryNodeSampleIndex", "Value", inputs, data_type="QUATERNION", domain="POINT")
-        quat = tree.node("FunctionNodeRotationToQuaternion", {"Rotation": sampled})
+    for slot, (weight, turn) in enumerate(influences):
+        quat = tree.node("FunctionNodeRotationToQuaternion", {"Rotation": turn})
         w = tree.output(quat, "W")
         v = tree.out("ShaderNodeCombineXYZ", "Vector", {axis: tree.output(quat, axis) for axis in "XYZ"})
         if slot == 0:
@@ -110,9 +144,9 @@ def _blend(tree: Tree, frames: Any, turn: Any) -> Any:
         signed = tree.math("MULTIPLY", weight, tree.math("MULTIPLY_ADD", tree.math("LESS_THAN", agree, 0.0), -2.0, 1.0))
         total_w = tree.math("MULTIPLY_ADD", w, signed, total_w)
         total_v = tree.vector("ADD", total_v, tree.scale(v, signed))
-    parts = tree.node("ShaderNodeSeparateXYZ", {"Vector": total_v})
+    node = tree.node("ShaderNodeSeparateXYZ", {"Vector": total_v})
     squared = tree.math("MULTIPLY_ADD", total_w, total_w, tree.vector("DOT_PRODUCT", total_v, total_v))
     length = tree.math("SQRT", squared)
-    inputs = {axis: tree.math("DIVIDE", tree.output(parts, axis), length) for axis in "XYZ"}
+    inputs = {axis: tree.math("DIVIDE", tree.output(node, axis), length) for axis in "XYZ"}
     inputs["W"] = tree.math("DIVIDE", total_w, length)
     return tree.out("FunctionNodeQuaternionToRotation", "Rotation", inputs)

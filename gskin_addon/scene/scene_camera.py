@@ -34,11 +34,12 @@ def scene_camera(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> tupl
     projection = np.array(
         obj.calc_matrix_camera(
             depsgraph, x=width, y=height, scale_x=render.pixel_aspect_x, scale_y=render.pixel_aspect_y
-        )
+        ),
+        np.float64,  # newer mathutils come as float32
     )
     # Blender's cameras look along -z with y up, ours along z with y down; their scale has no effect.
     world = evaluated.matrix_world.normalized()
-    rotation = (np.array(world)[:3, :3] @ np.diag([1.0, -1.0, -1.0])).T
+    rotation = (np.array(world, np.float64)[:3, :3] @ np.diag([1.0, -1.0, -1.0])).T
     translation = -rotation @ np.array(world)[:3, 3]
     parallel = lens.type == "ORTHO"
     # Where the axis of the view meets the image: the shift is in the fourth column where rays are parallel.

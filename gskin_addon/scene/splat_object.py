@@ -61,6 +61,7 @@ def create_splat_steps(
     if cloud.offset.any():
         obj[names.GEO_OFFSET] = cloud.offset.tolist()
     if display:
+        yield 1.0
         add_display(obj)
     return obj
 

@@ -45,7 +45,8 @@ def pose_still(obj: bpy.types.Object, armature: bpy.types.Object, wanted: Pose) 
     at the splats, a pose that would not stay.
     """
     if not wanted:
-        return []
+        rests = armature.data.pose_position == "REST"
+        return [f"Armature '{armature.name}' is in Rest Position, and its splats with it"] if rests else []
     notes = []
     if armature.data.pose_position == "REST":
         armature.data.pose_position = "POSE"

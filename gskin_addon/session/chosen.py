@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import bpy
 
 from ..scene.anchored import proxy_of
+from ..scene.blender_splats import is_blender_splats
 from ..scene.proxy_object import followed_armature
 from ..scene.splat_object import is_splat_object
 
@@ -36,6 +37,11 @@ def is_splats(settings: GSkinSettings, obj: bpy.types.Object) -> bool:
     return is_splat_object(obj) and _in_scene(obj, settings.id_data)
 
 
+def is_any_splats(settings: GSkinSettings, obj: bpy.types.Object) -> bool:
+    """What may be named as splats: ours, and those of Blender's that Auto-Skin takes over first."""
+    return (is_splat_object(obj) or is_blender_splats(obj)) and _in_scene(obj, settings.id_data)
+
+
 def is_armature(settings: GSkinSettings, obj: bpy.types.Object) -> bool:
     return obj.type == "ARMATURE" and _in_scene(obj, settings.id_data)
 
@@ -59,6 +65,17 @@ def chosen_splats(context: bpy.types.Context) -> bpy.types.Object | None:
     if found is not None:
         _last = found.session_uid
     return found
+
+
+def chosen_blender_splats(context: bpy.types.Context) -> bpy.types.Object | None:
+    """Blender's own splat object that the click is about, where no splat object of ours is: named, or selected."""
+    if chosen_splats(context) is not None:
+        return None
+    settings = panel_settings(context)
+    named = settings.splats
+    if named is not None and is_blender_splats(named) and _in_scene(named, context.scene):
+        return named
+    return _selected(context, is_blender_splats)
 
 
 def chosen_armature(context: bpy.types.Context) -> bpy.types.Object | None:

@@ -11,7 +11,7 @@ from ..core.guidance import BENCHMARK_ONLY, DEFAULT_GUIDANCE, GUIDANCE
 from ..core.job.settings import FRONTS, JobSettings
 from ..core.skinning.initial import INITIAL_WEIGHTS
 from ..core.skinning.presets import DEFAULT_PRESET, PRESETS
-from .chosen import is_armature, is_proxy, is_splats
+from .chosen import is_any_splats, is_armature, is_proxy
 from .guidance_settings import GSkinGuidance
 
 _INITIAL_TIPS = {
@@ -34,7 +34,7 @@ class GSkinSettings(bpy.types.PropertyGroup):
         name="Splats",
         description="The splat object to skin; empty: the selected one",
         type=bpy.types.Object,
-        poll=is_splats,
+        poll=is_any_splats,
     )
     armature: bpy.props.PointerProperty(
         name="Armature",

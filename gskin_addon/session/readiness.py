@@ -14,6 +14,8 @@ from ..core.job.checks import APART, SOUND, better_axis, check_overlap, overlap
 from ..core.rig.rig_scale import ABSURD
 from ..core.rig.skeleton import Skeleton
 from ..scene.follow_transforms import warning_of
+from ..scene.native_nodes import POSITION_STEPS
+from ..scene.node_groups import draws_native
 from ..scene.placement import is_placed, shift_of, up_of
 from ..scene.proxy_object import followed_armature
 from ..scene.rig_fit import SplatSample, guess_rig_scale, rest_skeleton, sample_splats, to_world
@@ -21,7 +23,7 @@ from ..scene.single_user import sharers
 from ..scene.splat_object import splat_count
 from ..scene.transforms import similarity_as_shown
 from . import learning_runtime
-from .chosen import chosen_armature, chosen_splats, panel_settings
+from .chosen import chosen_armature, chosen_blender_splats, chosen_splats, panel_settings
 from .preferences import job_python, worker_python
 from .running_job import state
 
@@ -29,6 +31,9 @@ State = Literal["ok", "warn", "stop"]
 
 STRAYS = 0.002
 """Share of stray splats that is worth a word."""
+COARSE = 0.5
+"""Steps of drawn positions, in standard deviations of a splat, from which a picture shows them."""
+
 
 @dataclass(frozen=True)
 class Check:
@@ -57,7 +62,7 @@ _KEPT = 8
 def checks(context: bpy.types.Context) -> list[Check]:
     """All checks of the chosen objects, in the order to mend them in. Quick: panels ask on every redraw."""
     splats, armature = chosen_splats(context), chosen_armature(context)
-    found = [_splats_check(splats), _armature_check(context, armature)]
+    found = [_splats_check(context, splats), _armature_check(context, armature)]
     if splats is not None and armature is not None:
         found += [_mode_check(splats, armature), _scale_check(splats, armature), *_transform_checks(splats)]
         if all(check.state == "ok" for check in found):
@@ -95,7 +100,14 @@ def forget() -> None:
     _fits.clear()
 
 
-def _splats_check(splats: bpy.types.Object | None) -> Check:
+def _splats_check(context: bpy.types.Context, splats: bpy.types.Object | None) -> Check:
+    blenders = chosen_blender_splats(context)
+    if blenders is not None:
+        sentence = (
+            f"'{blenders.name}' holds Blender's own splats, which no armature moves: Auto-Skin first makes them a mesh "
+            "of the same splats (undo brings them back)"
+        )
+        return Check("Splats", "warn", sentence, "gskin.make_riggable", "Make Riggable")
     if splats is None:
         sentence = "No splats are chosen: import a Gaussian splat .ply, or select a splat object"
         return Check("Splats", "stop", sentence, "gskin.import_splats", "Import Splats...")
@@ -201,6 +213,13 @@ def _look(
     # A rig of a wrong size lies elsewhere, too: the place is looked at when the size will do.
     if found[0].state != "stop":
         found.append(_place_check(splats, armature, points, skeleton, bound))
+    step = sample.reach / POSITION_STEPS
+    if sample.size > 0 and step > COARSE * sample.size and draws_native(splats):
+        sentence = (
+            f"A few splats lie so far off that Blender draws all others in steps of {step:.2g} (it divides the whole "
+            "extent evenly), coarser than the splats: put the far ones aside"
+        )
+        found.append(Check("Far Splats", "warn", sentence, "gskin.clean_splats", "Put Them Aside"))
     if sample.strays >= STRAYS:
         sentence = "Some splats lie off the body, and would follow bones that they have nothing to do with"
         found.append(Check("Strays", "warn", sentence, "gskin.clean_splats", "Put Them Aside"))

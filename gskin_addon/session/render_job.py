@@ -17,6 +17,7 @@ from ..core.files import read_arrays
 from ..core.job.progress import ProgressEvent
 from ..core.render.frame import Frame
 from ..core.render.output import Output
+from ..core.render.screen_space import camera_matrices
 from ..core.worker.frame_client import FrameClient
 from ..core.worker.own_python import own_python
 from ..scene.drawn import bare, read_drawn, rendered_splats
@@ -40,6 +41,7 @@ class RenderJob:
     still: bool
     first_frame: int
     out: Path | None = None
+    on_gpu: bool = False
     started: float = field(default_factory=time.monotonic)
     progress: ProgressEvent = field(default_factory=lambda: ProgressEvent("start", message="Starting"))
     cancelling: bool = False
@@ -63,10 +65,12 @@ class RenderJob:
         depth: bool,
         frames: Sequence[int] | None = None,
         out: Path | None = None,
+        on_gpu: bool = False,
     ) -> RenderJob:
         """Start the process that draws. animation: the scene's frames, else the present one; frames: these instead.
 
-        out: the file of a still, in place of the output path's.
+        out: the file of a still, in place of the output path's. on_gpu: by the 3D view's shader where it can be; needs
+        a GPU context.
 
         Raises InputError where there is nothing to render, no camera, or no image format.
         """
@@ -80,8 +84,9 @@ class RenderJob:
             frames = list(every) if animation else [scene.frame_current]
         client = FrameClient(python, isolated=python == own_python(), gentle=not bpy.app.background)
         return cls(
-            client, scene.name, view_layer.name, frames, hold_out, depth, not animation, scene.frame_current, out
-        )
+            client, scene.name, view_layer.name, frames, hold_out, depth, not animation, scene.frame_current,
+            out, on_gpu,
+        )  # fmt: skip
 
     @property
     def pictures(self) -> None:
@@ -168,7 +173,8 @@ class RenderJob:
             camera, far = scene_camera(scene, depsgraph)
             drawn = [read_drawn(obj, depsgraph) for obj in splats]
             triangles = read_triangles(depsgraph, splats if self.hold_out else list(view_layer.objects))
-        return Frame(drawn, camera, triangles, far)
+        frame = Frame(drawn, camera, triangles, far)
+        return _drawn_here(frame) if self.on_gpu and not self.depth and not len(triangles) else frame
 
     def _keep(self) -> None:
         """The process has written the frame in hand."""
@@ -193,6 +199,16 @@ class RenderJob:
         if scene is None or view_layer is None:
             raise InputError(f"The scene '{self.scene}' was renamed or deleted while it was rendered; start again.")
         return scene, view_layer
+
+
+def _drawn_here(frame: Frame) -> Frame:
+    """The frame as drawn by the 3D view's shader; the other process has only to write it."""
+    from ..scene.viewport.drawing import draw_splats
+
+    camera = frame.camera
+    view, projection = camera_matrices(camera, frame.far)
+    picture = draw_splats(frame.objects, view, projection, camera.width, camera.height)
+    return Frame([], camera, frame.triangles, frame.far, picture)
 
 
 def _make_folder(path: Path) -> None:

@@ -14,6 +14,12 @@ class GSkinRender(bpy.types.PropertyGroup):
         description="Meshes and other surfaces that a render shows hide the splats behind them, as if opaque",
         default=True,
     )
+    on_gpu: bpy.props.BoolProperty(
+        name="Graphics Card",
+        description="Draw by the shader of the 3D view where no depth is wanted and nothing stands before the splats. "
+        "Blender stands still for the time of a redraw",
+        default=False,
+    )
     depth: bpy.props.BoolProperty(
         name="Depth",
         description="Also write how far the splats are, in metres along the camera's axis: as channel Z of an OpenEXR "

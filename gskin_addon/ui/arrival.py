@@ -20,10 +20,10 @@ def draw(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
     if splats is None:
         return
     placed = is_placed(splats)
-    row = layout.row(align=True)
     up = tr("{axis} up, on the floor") if placed else tr("{axis} up, where the file has it")
-    row.label(text=up.format(axis=up_of(splats).upper()))
+    layout.label(text=up.format(axis=up_of(splats).upper()))
     if armature_of(splats) is None:
+        row = layout.row(align=True)
         row.operator_menu_enum("gskin.turn_up", "up", text="Turn")
         if placed:
             row.operator("gskin.undo_placement", text="", icon="LOOP_BACK")

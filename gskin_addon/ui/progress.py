@@ -47,7 +47,7 @@ def draw(layout: bpy.types.UILayout, width: int) -> None:
 
 def _draw_pictures(layout: bpy.types.UILayout, pictures: list[tuple[str, int]]) -> None:
     """The newest pictures of the running job side by side, with their names."""
-    row = layout.row()
+    row = layout.row() if pictures else layout
     for name, icon in pictures:
         column = row.column()
         column.template_icon(icon_value=icon, scale=7.0)

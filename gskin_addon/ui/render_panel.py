@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..scene.render import has_flecks
 from ..scene.scene_camera import image_size
 from ..session.chosen import chosen_splats
 from ..session.render_settings import render_settings
@@ -36,10 +37,13 @@ class GSKIN_PT_render(bpy.types.Panel):
         column.prop(scene.render, "film_transparent", text="Transparent")
         column.prop(settings, "hold_out")
         column.prop(settings, "depth")
+        column.prop(settings, "on_gpu")
         width, height = image_size(scene)
         note = layout.row()
         note.active = False
         note.label(text=f"{width} x {height}, {scene.render.image_settings.file_format.replace('_', ' ')}")
+        if has_flecks(scene):
+            layout.operator("gskin.clear_flecks", icon="SHADING_RENDERED")
         row = layout.row(align=True)
         row.operator("gskin.render_splats", text="Render Splats", icon="RENDER_STILL")
         row.operator("gskin.render_splats", text="Animation", icon="RENDER_ANIMATION").animation = True

@@ -13,8 +13,10 @@ from ..scene.display_colors import SHOW_CONFIDENCE, SHOW_WEIGHTS_OF
 from ..scene.fabric import has_fabric
 from ..scene.node_builder import has_input, input_property
 from ..scene.node_groups import BY_SHADER, DISPLAY_INPUTS, find_display
+from ..scene.render import changes_colors
 from ..scene.viewport import switch
 from ..session.chosen import chosen_splats
+from ..session.running_job import state
 from .translations import BUTTON, tr
 
 _EDITS = (
@@ -49,6 +51,8 @@ class GSKIN_PT_display(_Child, bpy.types.Panel):
         column.use_property_split = True
         column.use_property_decorate = False
         _draw_true_splats(context, splats, column)
+        if changes_colors(context.scene):
+            column.operator("gskin.standard_view", icon="COLOR")
         for name in DISPLAY_INPUTS:
             if not has_input(modifier, name):
                 continue
@@ -88,6 +92,7 @@ class GSKIN_PT_weights(_Child, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         column = self.layout.column()
+        column.enabled = state.job is None  # it would be about splats and weights that are no more
         row = column.row(align=True)
         row.operator("gskin.load_weights", text="Load...", icon="FILE_FOLDER")
         row.operator("gskin.save_weights", text="Save...", icon="FILE_TICK")
@@ -137,6 +142,7 @@ class GSKIN_PT_hygiene(_Child, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         column = self.layout.column()
+        column.enabled = state.job is None  # it would be about splats and weights that are no more
         column.operator("gskin.select_bad_splats", icon="RESTRICT_SELECT_OFF")
         column.operator("gskin.clean_splats", icon="BRUSH_DATA")
 

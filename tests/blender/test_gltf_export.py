@@ -5,16 +5,15 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 import subprocess
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import splat_clouds as clouds
 from glb import Glb, decode_attributes
+from npm import npm_folder
 
 bpy = pytest.importorskip("bpy")
 
@@ -349,23 +348,8 @@ def test_failing_exporter_is_one_sentence_and_changes_nothing(scene, tmp_path, m
     assert not hasattr(sys.modules["io_scene_gltf2"], "glTF2ExportUserExtensions")
 
 
-def find_validator() -> Path:
-    """The folder of npm's gltf-validator, installed below build/ where npm can; else the test is skipped."""
-    folder = Path(__file__).resolve().parents[2] / "build" / "gltf-validator"
-    if shutil.which("node") is None or shutil.which("npm") is None:
-        pytest.skip("no node and npm")
-    if not (folder / "node_modules" / "gltf-validator" / "package.json").is_file():
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "package.json").write_text("{}")
-        command = ["npm", "install", "--no-audit", "--no-fund", "gltf-validator@2.0.0-dev.3.10"]
-        result = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=False)
-        if result.returncode != 0:
-            pytest.skip(f"npm cannot install gltf-validator: {result.stderr.strip()[-200:]}")
-    return folder
-
-
 def test_khronos_validator(scene, tmp_path):
-    folder = find_validator()
+    folder = npm_folder("gltf-validator", "gltf-validator@2.0.0-dev.3.10")
     export_glb(tmp_path / "out.glb", [scene[0]])
     script = (
         "const fs = require('fs'), v = require('gltf-validator');"

@@ -10,14 +10,17 @@ import splat_clouds as clouds
 
 bpy = pytest.importorskip("bpy")
 
+import gskin_addon
 from gskin_addon.core.splats.cloud import SH_C0, SplatCloud
 from gskin_addon.scene import names
 from gskin_addon.scene.attributes import read_attribute, read_positions
 from gskin_addon.scene.native_nodes import NUDGE, has_native_splats
-from gskin_addon.scene.node_groups import NATIVE, get_display, set_display
+from gskin_addon.scene.node_groups import BY_SHADER, NATIVE, find_display, get_display, set_display
 from gskin_addon.scene.posing import posed_cloud
+from gskin_addon.scene.rotation_nodes import find_rotation
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud, to_world
 from gskin_addon.scene.weights import write_weights
+from gskin_addon.session import readiness
 
 pytestmark = pytest.mark.skipif(not has_native_splats(), reason="needs Blender 5.3 or later, which draws splats itself")
 
@@ -143,3 +146,47 @@ def test_size_and_the_other_display():
     assert len(evaluated.data.polygons) > 0
     set_display(obj, "Display", False)
     assert len(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.vertices) == 30
+
+
+def test_one_far_splat_is_told():
+    """Blender divides the extent of all splats evenly, so that one far off makes the places of all others coarse."""
+    gskin_addon.register()
+    try:
+        cloud = clouds.random_cloud(300, 0)
+        obj, _ = create_splat_object(cloud, "S"), rigs.make_chains(3, np.random.default_rng(0))
+        bpy.context.scene.gskin.splats = obj
+
+        def told() -> list[str]:
+            return [check.operator for check in readiness.checks(bpy.context) if check.name == "Far Splats"]
+
+        assert not told()
+        obj.data.vertices[150].co = (1e6, 0, 0)
+        readiness.forget()
+        assert told() == ["gskin.clean_splats"]
+        set_display(obj, NATIVE, False)
+        readiness.forget()
+        assert not told()
+    finally:
+        gskin_addon.unregister()
+
+
+def test_a_display_of_an_older_file_is_renewed_with_its_rotation_nodes(rng):
+    """Without the bones' turn the harmonics would stay behind."""
+    obj, _ = rigged(rng, 1)
+    gskin_addon.register()
+    try:
+        bpy.context.scene.gskin.splats = obj
+        for modifier in (find_display(obj), find_rotation(obj)):
+            old = modifier.node_group.copy()
+            old["gskin_version"] = 1
+            modifier.node_group = old
+        old_display, old_rotation = find_display(obj).node_group, find_rotation(obj).node_group
+        for item in list(old_display.interface.items_tree):
+            if item.name in (NATIVE, BY_SHADER):
+                old_display.interface.remove(item)
+        assert bpy.ops.gskin.renew_display() == {"FINISHED"}
+        assert find_display(obj).node_group != old_display
+        assert find_rotation(obj).node_group != old_rotation
+        assert_same_splats(to_world(native_cloud(obj), obj), posed_cloud(obj))
+    finally:
+        gskin_addon.unregister()

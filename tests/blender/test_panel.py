@@ -517,6 +517,19 @@ def test_what_cannot_work_now_says_why(scene, operator, words):
         click()
 
 
+@pytest.mark.parametrize("operator", ["load_weights", "bind_to_armature", "update_rotation_weights", "save_weights"])
+def test_weights_wait_for_the_end_of_edit_mode(scene, splats, armature, operator):
+    bind(splats, armature)
+    bpy.context.view_layer.objects.active = splats
+    bpy.ops.object.mode_set(mode="EDIT")
+    click = getattr(bpy.ops.gskin, operator)
+    assert not click.poll()
+    with pytest.raises(RuntimeError, match="Leave Edit Mode"):
+        click()
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert click.poll()
+
+
 def test_placing_in_another_mode_says_why(scene, armature):
     bpy.context.view_layer.objects.active = armature
     bpy.ops.object.mode_set(mode="POSE")

@@ -20,7 +20,15 @@ from gskin_addon.core.rig.lbs import sparsify
 from gskin_addon.core.rig.quaternion import quat_to_matrix
 from gskin_addon.core.splats.sh import eval_sh, rotate_sh
 from gskin_addon.scene.node_builder import get_input, has_input
-from gskin_addon.scene.node_groups import BY_SHADER, OCTAHEDRA, add_display, find_display, get_display, set_display
+from gskin_addon.scene.node_groups import (
+    BY_SHADER,
+    NATIVE,
+    OCTAHEDRA,
+    add_display,
+    find_display,
+    get_display,
+    set_display,
+)
 from gskin_addon.scene.posing import posed_cloud
 from gskin_addon.scene.splat_object import create_splat_object, replace_cloud
 from gskin_addon.scene.transforms import world_similarity
@@ -47,6 +55,14 @@ def window(monkeypatch):
     gskin_addon.unregister()
 
 
+def splat_object(cloud, name: str):
+    """Splats that Blender does not draw by itself."""
+    obj = create_splat_object(cloud, name)
+    if has_input(add_display(obj), NATIVE):
+        set_display(obj, NATIVE, False)
+    return obj
+
+
 def evaluated(obj):
     return obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
 
@@ -60,7 +76,7 @@ def bound(degree: int = 2, count: int = 60):
     """Splats with harmonics on a crooked rig, both moved, in a pose."""
     rng = np.random.default_rng(3)
     cloud = clouds.random_cloud(count, degree)
-    obj, armature = create_splat_object(cloud, "S"), rigs.make_chains(7, rng)
+    obj, armature = splat_object(cloud, "S"), rigs.make_chains(7, rng)
     write_weights(obj, armature, sparsify(rigs.random_weights(cloud, 7, rng), 4))
     rigs.place(obj, (1, 2, 3), (0.3, -0.2, 0.5), 1.7)
     rigs.random_pose(armature, rng)
@@ -70,7 +86,7 @@ def bound(degree: int = 2, count: int = 60):
 
 def test_the_mesh_has_points_and_one_edge_without_length():
     cloud = clouds.random_cloud(40, 3)
-    obj = create_splat_object(cloud, "S")
+    obj = splat_object(cloud, "S")
     set_display(obj, BY_SHADER, True)
     mesh = evaluated(obj).data
     assert (len(mesh.vertices), len(mesh.edges), len(mesh.polygons)) == (42, 1, 0)
@@ -159,14 +175,14 @@ def test_where_modifiers_leave_splats_out_the_others_are_drawn():
 
 
 def test_ellipsoids_are_no_points_for_the_shader():
-    obj = create_splat_object(clouds.random_cloud(30, 0), "S")
+    obj = splat_object(clouds.random_cloud(30, 0), "S")
     assert read(obj) is None
     obj.data.attributes.remove(obj.data.attributes["radiance:base"])
     assert read_rest(obj, EVERY) is None
 
 
 def test_splats_go_to_the_shader_and_come_back(window, tmp_path):
-    obj = create_splat_object(clouds.random_cloud(30, 0), "S")
+    obj = splat_object(clouds.random_cloud(30, 0), "S")
     bpy.context.view_layer.objects.active = obj
     switch.apply_to_all()
     assert switch.is_drawn(obj)
@@ -196,7 +212,7 @@ def test_splats_go_to_the_shader_and_come_back(window, tmp_path):
 
 
 def test_turning_the_add_on_off_brings_ellipsoids_back(window):
-    obj = create_splat_object(clouds.random_cloud(30, 0), "S")
+    obj = splat_object(clouds.random_cloud(30, 0), "S")
     switch.apply_to_all()
     assert get_display(obj, BY_SHADER)
     following.unregister()
@@ -207,7 +223,7 @@ def test_turning_the_add_on_off_brings_ellipsoids_back(window):
 def test_nothing_is_given_to_the_shader_without_a_window():
     gskin_addon.register()
     try:
-        obj = create_splat_object(clouds.random_cloud(30, 0), "S")
+        obj = splat_object(clouds.random_cloud(30, 0), "S")
         switch.apply_to_all()
         assert bpy.context.scene.gskin_draw_splats
         assert not get_display(obj, BY_SHADER)
@@ -216,7 +232,7 @@ def test_nothing_is_given_to_the_shader_without_a_window():
 
 
 def test_a_display_of_an_older_file_can_be_renewed(window):
-    obj = create_splat_object(clouds.random_cloud(30, 0), "S")
+    obj = splat_object(clouds.random_cloud(30, 0), "S")
     modifier = add_display(obj)
     older = modifier.node_group.copy()
     older["gskin_version"] = 3
@@ -294,6 +310,28 @@ def test_hidden_objects_are_not_shown():
     layer.layer_collection.children["Home"].exclude = True
     layer.update()
     assert not shown()
+
+
+def test_instances_of_a_collection_are_shown_where_they_are():
+    obj, _ = bound(degree=0)
+    source = bpy.data.collections.new("Source")
+    bpy.context.scene.collection.objects.unlink(obj)
+    source.objects.link(obj)
+    empties = []
+    for place in ((3.0, 0.0, 0.0), (-3.0, 0.0, 1.0)):
+        empty = bpy.data.objects.new("Copy", None)
+        empty.instance_type, empty.instance_collection, empty.location = "COLLECTION", source, place
+        bpy.context.scene.collection.objects.link(empty)
+        empties.append(empty)
+    empties[0].rotation_euler.z = 1.0
+    bpy.context.view_layer.update()
+    shown = visible.shown_objects(bpy.context)
+    assert {one.obj for one in shown} == set(empties)
+    for one in shown:
+        wanted = np.array(one.obj.matrix_world) @ np.array(obj.matrix_world)
+        np.testing.assert_allclose(one.splats.matrix, wanted, atol=1e-5)
+    empties[1].hide_set(True)
+    assert [one.obj for one in visible.shown_objects(bpy.context)] == [empties[0]]
 
 
 def test_the_thread_runs_the_newest_job_of_each_asker():

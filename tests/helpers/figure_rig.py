@@ -3,6 +3,10 @@
 
 from __future__ import annotations
 
+import atexit
+import functools
+import shutil
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -107,11 +111,26 @@ def wave(armature: Any, name: str, angle: float = 1.0) -> Any:
     return key(armature, "rotation_quaternion", quats, armature.pose.bones["arm.L"], name)
 
 
+@functools.cache
+def _base() -> Path:
+    """A file with the bound figure, made once: some versions of Blender need seconds to build the node groups."""
+    folder = Path(tempfile.mkdtemp(prefix="gskin-figure-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    empty()
+    add_splats(add_rig())
+    save(folder / "base.blend")
+    return folder / "base.blend"
+
+
+def open_base() -> tuple[Any, Any]:
+    """A fresh file with the bound figure: splats 'fig', armature 'Rig'."""
+    bpy.ops.wm.open_mainfile(filepath=str(_base()))
+    return bpy.data.objects["fig"], bpy.data.objects["Rig"]
+
+
 def rigged(path: Path, change: Callable[[Any, Any], None] | None = None) -> Path:
     """A .blend with the bound figure, after change(splats, armature)."""
-    empty()
-    armature = add_rig()
-    splats = add_splats(armature)
+    splats, armature = open_base()
     if change is not None:
         change(splats, armature)
     save(path)
@@ -140,6 +159,16 @@ def expected(means: np.ndarray, angle: float = -60.0, each: int = 20) -> np.ndar
     moved, head = means.copy(), np.array([0.1, 0, 1.0])
     moved[2 * each : 4 * each] = (means[2 * each : 4 * each] - head) @ turn.T + head
     return moved
+
+
+def turns_in_clip(glb: Any, bone: str) -> float:
+    """How much the rotation of a bone's node changes from the first to the last key of the only clip."""
+    (clip,) = glb.json["animations"]
+    for channel in clip["channels"]:
+        if channel["target"] == {"node": glb.node(bone), "path": "rotation"}:
+            values = glb.accessor(clip["samplers"][channel["sampler"]]["output"])
+            return float(np.abs(values[-1] - values[0]).max())
+    return 0.0
 
 
 def write_figure(path: Path) -> Path:

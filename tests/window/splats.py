@@ -110,7 +110,7 @@ def story(stage: Stage, options: argparse.Namespace) -> Story:
         yield from capture(stage, studio, options)
     yield from failing(stage, studio)
     module = importlib.import_module("addon_utils")
-    obj = bring(options.splats)
+    obj = bring(options.splats, up="z")
     yield from studio.settled()
     stage.check("a new object is drawn by the shader", drawn(obj))
     node = part("scene.node_builder")
@@ -138,7 +138,7 @@ def drawn(obj: Any) -> bool:
 
 def sample(stage: Stage, studio: Studio, splats: Path) -> Story:
     """The demo's character at rest and posed, in perspective and without."""
-    obj = bring(splats)
+    obj = bring(splats, up="z")
     yield from studio.measure("s01_rest", [obj])
     stage.check("imported splats are drawn by the shader", drawn(obj))
     stage.check("and nothing failed", not part("scene.viewport.switch").failure, part("scene.viewport.switch").failure)
@@ -209,6 +209,27 @@ def hiding(stage: Stage, studio: Studio) -> Story:
         bpy.ops.view3d.localview(frame_selected=False)
     bpy.data.objects.remove(cube)
     studio.look((0.0, 0.0, 0.83), 3.1)
+    yield from studio.settled()
+    x, y = studio.view.middle()
+    yield from studio.hands.click(x, y)
+    yield stage.soon(obj.select_get, 5.0)
+    stage.check("a click on the splats selects them", obj.select_get())
+    yield from studio.hands.click(x - 300, y + 200)
+    yield stage.soon(lambda: not obj.select_get(), 5.0)
+    stage.check("a click beside them selects nothing", not obj.select_get())
+    for way, place in (("behind", -1.2), ("before", 1.2)):
+        center = mathutils.Vector((0, 0, 0.83)) + place * direction
+        with studio.view.override():
+            bpy.ops.mesh.primitive_uv_sphere_add(radius=0.2, location=center)
+        sphere = bpy.context.view_layer.objects.active
+        yield from studio.settled()
+        yield from studio.hands.click(x, y)
+        yield stage.soon(lambda sphere=sphere, way=way: (obj if way == "behind" else sphere).select_get(), 5.0)
+        good = obj.select_get() == (way == "behind") and sphere.select_get() == (way == "before")
+        stage.check(f"with a sphere {way} them a click selects what is seen", good)
+        bpy.data.objects.remove(sphere)
+    with studio.view.override():
+        bpy.ops.object.select_all(action="DESELECT")
     obj.select_set(True)
 
 
@@ -295,6 +316,9 @@ def capture(stage: Stage, studio: Studio, options: argparse.Namespace) -> Story:
     for name, (target, distance) in views.items():
         studio.look(target, distance, front)
         yield from studio.measure(f"s50_capture_{name}", [obj])
+        bpy.context.scene.gskin_draw_splats = False
+        yield from studio.picture(f"s55_ellipsoids_{name}")  # for people: what it was before
+        bpy.context.scene.gskin_draw_splats = True
     stage.numbers["capture_redraw_kept_s"] = redraw_seconds(studio.view)
     yield from timed(stage, studio, "capture")
     rig = part("scene.rig_files").import_armature(options.capture_rig)
@@ -324,7 +348,7 @@ def failing(stage: Stage, studio: Studio) -> Story:
 
     module.draw_into = broken
     studio.look((0.0, 0.0, 0.8), 3.0)
-    yield from studio.settled()
+    studio.view.area.tag_redraw()
     yield lambda: not drawn(obj)
     stage.check("an error of the drawing is kept for the panel", "made up by the test" in switch.failure)
     yield from studio.picture("s80_failed")

@@ -26,13 +26,15 @@ Array = NDArray[np.float32]
 class Frame:
     """What is drawn: splats, the camera, and the triangles (T, 3, 3), world, of what hides splats.
 
-    far: metres along the camera's z at which the picture ends.
+    far: metres along the camera's z at which the picture ends. picture (H, W, 4): drawn elsewhere, premultiplied sRGB
+    and alpha, in place of all else but the camera.
     """
 
     objects: Sequence[DrawnSplats]
     camera: Camera
     triangles: Array
     far: float = np.inf
+    picture: Array | None = None
 
 
 def draw_frame(frame: Frame, on_progress: Callable[[float], None] | None = None) -> tuple[Picture, NDArray[np.bool_]]:
@@ -41,6 +43,9 @@ def draw_frame(frame: Frame, on_progress: Callable[[float], None] | None = None)
     By the numba kernels where this Python has numba, else in numpy.
     """
     camera = frame.camera
+    if frame.picture is not None:
+        color, alpha = frame.picture[..., :3], frame.picture[..., 3]
+        return Picture(color, alpha, np.full(alpha.shape, np.inf, np.float32)), np.zeros(alpha.shape, np.bool_)
     others = depth_of_triangles(frame.triangles, camera)
     limit = np.minimum(others, np.float32(frame.far))
     if frame.objects:

@@ -33,6 +33,12 @@ def camera_matrices(camera: Camera, far: float = 1000.0) -> tuple[NDArray[np.flo
     view = np.eye(4)
     view[:3, :3], view[:3, 3] = flip @ camera.rotation, flip @ camera.translation
     near, projection = camera.near, np.zeros((4, 4))
+    if camera.orthographic:
+        projection[0, 0], projection[0, 3] = 2 * camera.fx / camera.width, 2 * camera.cx / camera.width - 1
+        projection[1, 1], projection[1, 3] = 2 * camera.fy / camera.height, 1 - 2 * camera.cy / camera.height
+        projection[2, 2], projection[2, 3] = 2 / (near - far), (far + near) / (near - far)
+        projection[3, 3] = 1.0
+        return view, projection
     projection[0, 0], projection[0, 2] = 2 * camera.fx / camera.width, 1 - 2 * camera.cx / camera.width
     projection[1, 1], projection[1, 2] = 2 * camera.fy / camera.height, 2 * camera.cy / camera.height - 1
     projection[2, 2], projection[2, 3] = (far + near) / (near - far), 2 * far * near / (near - far)

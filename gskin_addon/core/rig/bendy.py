@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .quaternion import normalize
-from .stretch import RIGID, polar, unevenness
+from .stretch import RIGID, polar, size, unevenness
 
 Array = NDArray[Any]
 
@@ -51,22 +51,26 @@ class BendyBone:
         middle = np.linalg.inv(self.to_bone)[:3, 3]
         moved = difference[:, :3, :3] @ middle + difference[:, :3, 3]
         turned = np.linalg.norm(difference[:, :3, :3], axis=(1, 2))
-        size = self.length * np.linalg.norm(np.linalg.inv(self.to_bone)[:3, 1])
-        return bool(turned.max() > RIGID or np.linalg.norm(moved, axis=1).max() > RIGID * size)
+        length = self.length * np.linalg.norm(np.linalg.inv(self.to_bone)[:3, 1])
+        return bool(turned.max() > RIGID or np.linalg.norm(moved, axis=1).max() > RIGID * length)
 
-    def deform(self, points: Array) -> tuple[Array, Array, Array, Array]:
-        """Points (N, 3) moved, (N, 3); the map around each, (N, 3, 3); its turn, unit (N, 4); unevenness (N,)."""
+    def deform(self, points: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Points (N, 3) moved, (N, 3), and the map around each, (N, 3, 3); turn, unevenness and size of the map.
+
+        Turn, unit (N, 4), and `stretch.size` (N,) are those of the joints; the unevenness (N,) counts the bend, too.
+        """
         first, share, gradient = self.place(points)
         low, high = self.joints[first], self.joints[first + 1]
         ends = [m[:, :3, :3] @ points[:, :, None] + m[:, :3, 3:] for m in (low, high)]
         moved = (1 - share[:, None]) * ends[0][:, :, 0] + share[:, None] * ends[1][:, :, 0]
         part = share[:, None, None]
         maps = (1 - part) * low[:, :3, :3] + part * high[:, :3, :3] + (ends[1] - ends[0]) @ gradient[:, None, :]
-        quats, stretch, parity = polar(self.joints[:, :3, :3])
-        uneven = np.maximum(unevenness(stretch), parity < 0)
-        bend = np.linalg.norm(np.diff(self.joints[:, :3, :3], axis=0), axis=(1, 2))
-        quats = _between(quats[first], quats[first + 1], share)
-        return moved, maps, quats, np.maximum(np.maximum(uneven[first], uneven[first + 1]), bend[first])
+        linear = self.joints[:, :3, :3]
+        quats, uneven, sizes = polar(linear)[0], unevenness(linear)[1], size(linear)
+        bend = np.linalg.norm(np.diff(linear, axis=0), axis=(1, 2))
+        uneven = np.maximum(np.maximum(uneven[first], uneven[first + 1]), bend[first])
+        turns = _between(quats[first], quats[first + 1], share)
+        return moved, maps, turns, uneven, (1 - share) * sizes[first] + share * sizes[first + 1]
 
 
 def _between(a: Array, b: Array, share: Array) -> Array:

@@ -15,7 +15,7 @@ from ..splats.sh import rotate_sh as rotate_coefficients
 from .bendy import BendyBone
 from .covariance import transform_gaussians
 from .quaternion import matrix_to_quat, nearest_rotation, normalize, quat_multiply, quat_to_matrix
-from .stretch import RIGID, polar, second_moments, stretched_maps, unevenness
+from .stretch import RIGID, polar, second_moments, size, stretched_maps, unevenness
 
 Array = NDArray[Any]
 
@@ -88,7 +88,7 @@ def skin_cloud(
         raise ValueError(f"skin_cloud takes one pose (B, 4, 4), got shape {np.shape(transforms)}")
     posed = _skin_turned(cloud, weights, transforms, rotate_sh)
     bent = {bone: bend for bone, bend in (bends or {}).items() if bend.is_bent(transforms[bone])}
-    odd = bone_unevenness(transforms) > RIGID
+    odd = unevenness(np.asarray(transforms)[:, :3, :3])[0] > RIGID
     odd[list(bent)] = True
     rows = np.flatnonzero((np.asarray(weights)[:, odd] > 0).any(axis=1))
     for first in range(0, len(rows), PART // 4):
@@ -98,12 +98,6 @@ def skin_cloud(
         posed = stretch_rows(posed, cloud, some, turn, maps, mirrored, rotate_sh=rotate_sh)
         posed.means[some] = means
     return posed
-
-
-def bone_unevenness(transforms: Array) -> Array:
-    """(B,) how far bones' transforms (B, 4, 4) are from rotations (`stretch.unevenness`); at least 1 where mirrored."""
-    _, stretch, parity = polar(np.asarray(transforms)[:, :3, :3])
-    return np.maximum(unevenness(stretch), parity < 0)
 
 
 def local_deform(
@@ -118,7 +112,7 @@ def local_deform(
     quats = polar(transforms[:, :3, :3])[0]
     dominant = np.argmax(weights, axis=1)
     leading = quats[dominant]
-    uneven = np.where(weights > 0, bone_unevenness(transforms), 0)
+    uneven = np.where(weights > 0, unevenness(transforms[:, :3, :3])[1], 0)
     found = []
     for bone, bend in bends.items():
         rows = np.flatnonzero(weights[:, bone] > 0)
@@ -133,15 +127,14 @@ def local_deform(
     maps = blended[:, :, :3].copy()
     means = np.einsum("nij,nj->ni", maps, points) + blended[:, :, 3]
     turn = (weights * np.where(leading @ quats.T < 0, -1.0, 1.0)) @ quats
-    moments = second_moments(weights, quats)
-    for rows, weight, moved, local, quat, _ in found:
+    moments = second_moments(weights * size(transforms[:, :3, :3]), quats)
+    for rows, weight, moved, local, quat, _, sizes in found:
         means[rows] += weight[:, None] * moved
         maps[rows] += weight[:, None, None] * local
         sign = np.where(np.einsum("nk,nk->n", leading[rows], quat) < 0, -weight, weight)
         turn[rows] += sign[:, None] * quat
-        moments[rows] += weight[:, None, None] * quat[:, :, None] * quat[:, None, :]
-    turn, stretched = stretched_maps(maps, normalize(turn), moments, uneven.max(axis=1))
-    return means, turn, stretched, np.linalg.det(maps) < 0
+        moments[rows] += (weight * sizes)[:, None, None] * quat[:, :, None] * quat[:, None, :]
+    return means, *stretched_maps(maps, normalize(turn), moments, uneven.max(axis=1))
 
 
 def stretch_rows(

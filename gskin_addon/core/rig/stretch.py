@@ -2,8 +2,9 @@
 """How a blend of bone transforms that stretch, and not only turn, maps the space around each splat. numpy only.
 
 Rotations alone are blended by Eq. 3. Where a bone of a splat is scaled, sheared, mirrored or bent, the splat follows
-the local linear map of the deformation: turned by the map's own rotation, and stretched. What a linear blend of
-different rotations loses in size (the joint that collapses) is no stretch of anybody's and is given back.
+the local linear map of the deformation: turned by the map's own rotation, and stretched. Bones that are scaled evenly
+are no reason to leave Eq. 3. What a linear blend of different rotations loses in size (the joint that collapses) is no
+stretch of anybody's and is given back.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ Array = NDArray[Any]
 RIGID = 1e-4
 """Largest stretch (Frobenius norm of U - I) that still counts as a rotation."""
 PLAINLY = 1e-2
-"""Stretch from which on a splat turns by its map alone; between the two it goes over smoothly from Eq. 3."""
+"""Uneven stretch from which on a splat turns by its map alone; between the two it goes over smoothly from Eq. 3."""
 COLLAPSED = 0.05
 """Sum of the two smaller singular values, relative to the largest, below which a map has no rotation of its own."""
 
@@ -41,9 +42,22 @@ def polar(maps: Array) -> tuple[Array, Array, Array]:
     return matrix_to_quat(u @ vt), stretch, parity
 
 
-def unevenness(stretch: Array) -> Array:
-    """How far maps are from rotations, (...): the Frobenius norm of U - I for stretches U (..., 3, 3)."""
-    return np.asarray(np.linalg.norm(np.asarray(stretch) - np.eye(3), axis=(-2, -1)))
+def size(maps: Array) -> Array:
+    """By how much maps (..., 3, 3) enlarge, (...): the root of the mean of the squared stretches."""
+    return np.asarray(np.linalg.norm(maps, axis=(-2, -1)) / np.sqrt(3))
+
+
+def unevenness(maps: Array) -> tuple[Array, Array]:
+    """How far maps A (..., 3, 3) are from rotations and, each (...), from rotations times a scale.
+
+    Half the Frobenius norm of A^T A - I, which for small stretches is that of U - I; and the same of A / `size`. A map
+    that mirrors is at least 1 away from a rotation.
+    """
+    maps = np.asarray(maps, dtype=np.float64)
+    gram = np.swapaxes(maps, -1, -2) @ maps
+    length = np.maximum(size(maps), 1e-12)[..., None, None] ** 2
+    own, even = (np.linalg.norm(g - np.eye(3), axis=(-2, -1)) / 2 for g in (gram, gram / length))
+    return np.maximum(own, np.linalg.det(maps) < 0), even
 
 
 def second_moments(weights: Array, quats: Array) -> Array:
@@ -52,31 +66,37 @@ def second_moments(weights: Array, quats: Array) -> Array:
     return np.asarray((np.asarray(weights, np.float64) @ outer.reshape(len(quats), 16)).reshape(-1, 4, 4))
 
 
-def stretched_maps(maps: Array, turn: Array, moments: Array, uneven: Array) -> tuple[Array, Array]:
+def stretched_maps(maps: Array, turn: Array, moments: Array, uneven: Array) -> tuple[Array, Array, Array]:
     """What turns splats and what stretches them: unit quaternions R (N, 4) and maps M = R S (N, 3, 3).
 
-    maps (N, 3, 3): the blended local maps J. turn (N, 4): the blended rotation of Eq. 3. moments (N, 4, 4): of the
-    quaternions that were blended (`second_moments`). uneven (N,): how far the bones of each splat are from plain
-    rotations; 0 gives R = turn and, where J blends rotations, S = I.
+    Also which splats are mirrored with their bones, (N,) bool: M is minus what J asks for.
 
-    R is the rotation of J, S = (R^T J)_sym + K, and K what blending the rotations Q_b lost: the sum of
-    w_b (I - (R^T Q_b)_sym).
+    maps (N, 3, 3): the blended local maps J. turn (N, 4): the blended rotation of Eq. 3. moments (N, 4, 4): of the
+    quaternions that were blended (`second_moments`), weights times `size` of the bones' maps. uneven (N,): how far the
+    bones of each splat are from rotations times a scale; 0 gives R = turn, and where J blends rotations Q_b times
+    scales s_b, S = sum_b w_b s_b.
+
+    R is the rotation of J, S = (R^T J)_sym + K, and K what blending the rotations lost: the sum of
+    w_b s_b (I - (R^T Q_b)_sym).
     """
     maps = np.asarray(maps, dtype=np.float64)
-    maps = maps * np.where(np.linalg.det(maps) < 0, -1.0, 1.0)[:, None, None]
-    share: Array = np.clip((np.asarray(uneven) - RIGID) / (PLAINLY - RIGID), 0, 1)
-    share = share * share * (3 - 2 * share)
     turn = np.asarray(turn, dtype=np.float64)
+    # Not by the determinant: where a bend folds the space, J mirrors and no bone does.
+    mirrored = np.einsum("nij,nij->n", quat_to_matrix(turn), maps) < 0
+    maps = np.where(mirrored[:, None, None], -maps, maps)
+    share = np.clip((np.asarray(uneven) - RIGID) / (PLAINLY - RIGID), 0, 1)
+    share = share * share * (3 - 2 * share)
     u, s, vt = np.linalg.svd(maps)
-    share = np.where(s[:, 1] + s[:, 2] > COLLAPSED * s[:, 0], share, 0)
-    u[:, :, 2] *= np.where(np.linalg.det(u @ vt) < 0, -1.0, 1.0)[:, None]
+    folded = np.asarray(np.linalg.det(u @ vt) < 0)
+    share = share * ((s[:, 1] + s[:, 2] > COLLAPSED * s[:, 0]) & ~folded)
+    u[:, :, 2] *= np.where(folded, -1, 1)[:, None]
     own = matrix_to_quat(u @ vt)
     own = np.where(np.einsum("nk,nk->n", own, turn)[:, None] < 0, -own, own)
     blended = normalize(turn + share[:, None] * (own - turn))
     rotation = quat_to_matrix(blended)
-    stretch: Array = np.swapaxes(rotation, 1, 2) @ maps
-    stretch = (stretch + np.swapaxes(stretch, 1, 2)) / 2 + _lost(blended, moments)
-    return blended, rotation @ stretch
+    own_frame = np.swapaxes(rotation, 1, 2) @ maps
+    stretch = (own_frame + np.swapaxes(own_frame, 1, 2)) / 2 + _lost(blended, moments)
+    return blended, rotation @ stretch, mirrored
 
 
 def _lost(turn: Array, moments: Array) -> Array:

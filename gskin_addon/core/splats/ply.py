@@ -92,6 +92,8 @@ def _splat_element(header: Header, path: Path) -> tuple[Element, int]:
     # Discs have two scales, balls one; a gap among them is a damaged file.
     last = max((place for place, name in enumerate(codec.SCALES) if name in names), default=2)
     needed = [name for name in codec.REQUIRED if name not in codec.SCALES[last + 1 :]]
+    if names.issuperset(codec.RGB):
+        needed = [name for name in needed if name not in codec.COLOR]
     missing = [name for name in needed if name not in names]
     face = header.element("face")
     is_mesh = face is not None and face.count > 0
@@ -143,6 +145,9 @@ def _read_splats(
     while piece is not None:
         rows = slice(start, start + len(piece))
         columns = {name: np.ascontiguousarray(piece[name]) for name in vertex.properties}
+        for name, colour in zip(codec.COLOR, codec.RGB, strict=True):
+            if name not in columns:
+                columns[name] = codec.decode_color(columns[colour])
         valid[rows] = codec.decode_rows(columns, cloud, rows, rest)
         for table in (extra, stored, doubles):
             for name, column in table.items():

@@ -90,6 +90,11 @@ def sh_basis(dirs: Floats, degree: int) -> Floats:
     return basis
 
 
+def basis_constants() -> tuple[float, ...]:
+    """Factors of the 15 polynomials of degree 1-3, in the order of `sh_basis`, for who evaluates them elsewhere."""
+    return (-_C1, _C1, -_C1, *_C2, *_C3)
+
+
 def eval_sh(sh: FloatArray, dirs: FloatArray) -> FloatArray:
     """Colours (N, 3) of coefficients (N, K, 3) seen along unit directions (N, 3), camera to splat.
 

@@ -101,6 +101,13 @@ def read_spz_stream(file: BinaryIO, size: int, path: Path, drop_invalid: bool) -
             _DECODERS[name](table, cloud, rows, header)
             done += len(data)
             yield done / total
+    if header.version < 4:
+        try:
+            unpack(1)  # at its end gzip compares a check sum
+        except EOFError as error:
+            raise cut_off(path, "within its last bytes") from error
+        except failures as error:
+            raise damaged(path, str(error)) from error
     if header.version == 1:
         valid = np.isfinite(cloud.means).all(axis=1)
     return (yield from finish(path, cloud, valid, drop_invalid))

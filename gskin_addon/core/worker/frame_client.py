@@ -38,7 +38,7 @@ class FrameClient:
                 "preferences.",
                 terminal=f"or {VARIABLE}",
             ) from error
-        self._todo: queue.Queue[tuple[int, Frame, Output] | None] = queue.Queue()
+        self._todo: queue.Queue[list[bytes | memoryview] | None] = queue.Queue()
         self._lines: queue.Queue[dict[str, Any]] = queue.Queue()
         self._log: deque[str] = deque(maxlen=50)
         self._stopped = False
@@ -47,7 +47,7 @@ class FrameClient:
 
     def draw(self, number: int, frame: Frame, output: Output) -> None:
         """Have a frame drawn; `poll` tells when its file is there."""
-        self._todo.put((number, frame, output))
+        self._todo.put(pack_frame(number, frame, output))
 
     def poll(self) -> list[dict[str, Any]]:
         """What the process said since the last call, "drawing" and "drawn" lines.
@@ -82,8 +82,8 @@ class FrameClient:
     def _write(self, process: subprocess.Popen[bytes]) -> None:
         assert process.stdin is not None
         with contextlib.suppress(OSError, ValueError):  # it is gone: `_read` tells
-            while (item := self._todo.get()) is not None:
-                for piece in pack_frame(*item):
+            while (pieces := self._todo.get()) is not None:
+                for piece in pieces:
                     process.stdin.write(piece)
                 process.stdin.flush()
         with contextlib.suppress(OSError):

@@ -28,12 +28,15 @@ def pack_frame(number: int, frame: Frame, output: Output) -> list[bytes | memory
         there = [name for name in _OBJECT if getattr(splats, name) is not None]
         objects.append(there)
         arrays += [np.asarray(getattr(splats, name), "<f8" if name == "matrix" else "<f4") for name in there]
+    if frame.picture is not None:
+        arrays.append(np.asarray(frame.picture, "<f4"))
     camera = {name: _plain(value) for name, value in asdict(frame.camera).items()}
     head = {
         "number": number,
         "camera": camera,
         "far": None if np.isinf(frame.far) else float(frame.far),
         "objects": objects,
+        "picture": frame.picture is not None,
         "arrays": [[array.dtype.str, *array.shape] for array in arrays],
         "output": asdict(output),
     }
@@ -52,7 +55,8 @@ def read_frames(stream: BinaryIO) -> Iterator[tuple[int, Frame, Output]]:
         camera = Camera(**view | {name: np.array(view[name]) for name in ("rotation", "translation")})
         far = np.inf if head["far"] is None else float(head["far"])
         output = Output(**{**head["output"], "background": tuple(head["output"]["background"])})
-        yield int(head["number"]), Frame(objects, camera, triangles, far), output
+        picture = next(arrays) if head["picture"] else None
+        yield int(head["number"]), Frame(objects, camera, triangles, far, picture), output
 
 
 def _read(stream: BinaryIO, kind: str, *shape: int) -> NDArray[Any]:
@@ -71,4 +75,4 @@ def _read(stream: BinaryIO, kind: str, *shape: int) -> NDArray[Any]:
 
 
 def _plain(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.ndarray) else value
+    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value

@@ -89,6 +89,7 @@ def _look() -> float | None:
 
 
 def _after_failure() -> None:
+    view_state.forget()
     switch.give_ellipsoids_back()
     redraw()
 

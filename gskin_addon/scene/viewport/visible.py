@@ -23,7 +23,10 @@ _posed: dict[int, tuple[Any, DrawnSplats | None]] = {}
 
 @dataclass(frozen=True)
 class Shown:
-    """An object to draw: what its rest splats and its posed splats are known by, and the splats in the world."""
+    """An object to draw: what its rest splats and its posed splats are known by, and the splats in the world.
+
+    obj: what a click selects; of instances the object that makes them.
+    """
 
     obj: bpy.types.Object
     rest_key: Any
@@ -49,10 +52,25 @@ def shown_objects(context: bpy.types.Context) -> list[Shown]:
     found = []
     for obj in objects_of(layer):
         if obj.type == "MESH" and switch.is_drawn(obj) and is_visible(obj, layer, space):
-            one = _read(obj, context)
-            if one is not None:
-                found.append(one)
-    return found
+            found.append(_read(obj, context))
+    if any(obj.instance_type != "NONE" for obj in objects_of(layer)):
+        found += _instances(context)
+    return [one for one in found if one is not None]
+
+
+def _instances(context: bpy.types.Context) -> list[Shown | None]:
+    """Splats of collections that are instanced: each instance where it is."""
+    layer, space = context.view_layer, context.space_data
+    places = []
+    for instance in layer.depsgraph.object_instances:
+        if instance.is_instance and instance.show_self and switch.is_drawn(instance.object.original):
+            # What the loop gives is gone with its next round.
+            places.append((instance.object.original, instance.parent.original, np.array(instance.matrix_world)))
+    found = [(_read(obj, context), parent, place) for obj, parent, place in places if is_visible(parent, layer, space)]
+    return [
+        None if one is None else replace(one, obj=parent, splats=replace(one.splats, matrix=place.astype(np.float64)))
+        for one, parent, place in found
+    ]
 
 
 def _read(obj: bpy.types.Object, context: bpy.types.Context) -> Shown | None:

@@ -147,14 +147,19 @@ def driven(splats, armature):
 def test_a_turn_that_cannot_arrive_is_refused_with_what_to_move(change, tmp_path, capfd):
     source = fig.rigged(tmp_path / "in.blend", change)
     before = source.read_bytes()
-    for kind in ("ply", "blend", "glb"):
+    for kind in ("ply", "blend"):
         assert fig.run("pose", source, "--out", tmp_path / f"out.{kind}", *fig.TURN) == 2
         assert not (tmp_path / f"out.{kind}").exists()
         error = capfd.readouterr().err
         assert "'arm.L' of 'Rig' cannot be turned" in error
         assert "'target'" in error
-    assert fig.run("render", source, "--out", tmp_path / "out.png", *fig.TURN) == 2
     assert source.read_bytes() == before
+
+
+def test_pictures_and_glb_are_refused_too(tmp_path):
+    source = fig.rigged(tmp_path / "in.blend", held_by_constraint)
+    assert fig.run("render", source, "--out", tmp_path / "out.png", *fig.TURN) == 2
+    assert fig.run("pose", source, "--out", tmp_path / "out.glb", *fig.TURN) == 2
 
 
 def test_a_turn_that_arrives_in_part_says_so(tmp_path, capfd):
@@ -277,6 +282,33 @@ def test_animation_does_not_take_the_pose_back(change, tmp_path, capfd):
     assert "Idle" in bpy.data.actions  # it is taken off, not away
     bpy.context.scene.frame_set(5)
     np.testing.assert_allclose(fig.posed_means(out), fig.expected(REST), atol=1e-5)
+
+
+@pytest.mark.parametrize("how", ["linked", "override"])
+def test_the_pose_of_a_rig_from_a_library_is_kept(how, tmp_path):
+    fig.empty()
+    fig.move_to_collection([fig.add_rig()], "Char")
+    fig.save(tmp_path / "char.blend")
+    fig.empty()
+    with bpy.data.libraries.load(str(tmp_path / "char.blend"), link=True) as (_, target):
+        target.collections = ["Char"]
+    (collection,) = target.collections
+    bpy.context.scene.collection.children.link(collection)
+    bpy.context.view_layer.update()
+    if how == "override":
+        collection.override_hierarchy_create(bpy.context.scene, bpy.context.view_layer, do_fully_editable=True)
+        bpy.context.scene.collection.children.unlink(collection)
+    fig.add_splats(next(obj for obj in bpy.context.scene.objects if obj.type == "ARMATURE"))
+    fig.save(tmp_path / "in.blend")
+    np.testing.assert_allclose(fig.posed_means(tmp_path / "in.blend", *fig.TURN), fig.expected(REST), atol=1e-5)
+    assert fig.run("pose", tmp_path / "in.blend", "--out", tmp_path / "out.blend", *fig.TURN) == 0
+    np.testing.assert_allclose(fig.posed_means(tmp_path / "out.blend"), fig.expected(REST), atol=1e-5)
+
+
+def test_a_rig_at_rest_is_said_to_be(tmp_path, capfd):
+    source = fig.rigged(tmp_path / "in.blend", rest_position)
+    assert fig.run("pose", source, "--out", tmp_path / "out.ply") == 0
+    assert "Armature 'Rig' is in Rest Position, and its splats with it." in capfd.readouterr().err
 
 
 def test_a_frame_of_nothing_says_so(tmp_path, capfd):

@@ -74,3 +74,17 @@ def test_the_jacobian_is_the_derivative_of_the_projection(kind):
         step[axis] = 1e-6
         moved = project(points + step, projection, size)[0] - project(points - step, projection, size)[0]
         np.testing.assert_allclose(J[:, :, axis], moved / 2e-6 * [1, -1], rtol=1e-5, atol=1e-4)
+
+
+def test_matrices_of_an_orthographic_camera():
+    turn, shift = look_at((1, -3, 0.5), (0, 0, 0), size=8).rotation, np.array([0.1, 0.2, 3.0])
+    camera = Camera(turn, shift, 30.0, 20.0, 25.0, 11.0, 60, 40, 0.5, orthographic=True)
+    points = np.random.default_rng(0).normal(0, 0.6, (20, 3))
+    view, projection = camera_matrices(camera, 50.0)
+    there = points @ view[:3, :3].T + view[:3, 3]
+    pixels, depths = project(there, projection, camera.size)
+    wanted, z = camera.project(points)
+    np.testing.assert_allclose(pixels, wanted, atol=1e-9)
+    np.testing.assert_allclose(depths, z, atol=1e-9)
+    window = there[:, 2] * projection[2, 2] + projection[2, 3]
+    np.testing.assert_allclose(window, 2 * (z - 0.5) / 49.5 - 1, atol=1e-9)
