@@ -50,7 +50,7 @@ def import_steps(
     Nothing of it stays where the steps end early. Raises InputError as `read_splats`.
     """
     loaded = yield from part_of(reading(path, drop_invalid=options.drop_invalid), 0.0, 0.6)
-    up, assumed = resolve_up(options.up, loaded.cloud, skeleton_of(armature))
+    up, assumed = resolve_up(options.up, loaded.cloud, skeleton_of(armature), path)
     yield 0.6
     cloud = yield from part_of(rotate_in_place(loaded.cloud, up_rotation(up)), 0.6, 0.75)
     obj = yield from part_of(create_splat_steps(cloud, stem_of(path), collection=collection), 0.75, 1.0)

@@ -18,6 +18,7 @@ from .ksplat import read_ksplat, write_ksplat
 from .loaded import LoadedSplats, Reading
 from .other_formats import REMEDIES, TRANSFORM
 from .ply import read_ply_pieces, write_ply
+from .ply_codec import NORMALS
 from .ply_compressed_write import write_compressed
 from .sog import MAGIC as ZIP
 from .sog import META, read_sog
@@ -89,10 +90,24 @@ def write_splats(path: Path, cloud: SplatCloud, *, up: str = "z") -> None:
     """
     form = output_format(path)
     if cloud.count == 0:
-        raise InputError(f"{path}: there are no splats to write; select at least one.")
+        raise InputError(f"'{path}': there are no splats to write; select at least one.")
     if form.up and form.up != up:
         cloud = rotate_cloud(cloud, up_rotation(form.up).T @ up_rotation(up))
     form.write(path, cloud)
+
+
+def left_out(path: Path, cloud: SplatCloud) -> tuple[str, ...]:
+    """Clauses about what a cloud has that the format of a file to be written has no place for. InputError as above."""
+    if output_format(path) is FORMATS["ply"]:
+        return ()
+    words = []
+    columns = [name for name in cloud.extra if name not in NORMALS]
+    if columns:
+        words.append(f"the format has no place for the columns {', '.join(columns)}")
+    if cloud.offset.any():
+        place = ", ".join(f"{value:.12g}" for value in cloud.offset)
+        words.append(f"its coordinates are near the origin: ({place}) must be added; .ply output has them whole")
+    return tuple(words)
 
 
 def output_format(path: Path) -> SplatFormat:

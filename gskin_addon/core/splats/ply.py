@@ -24,6 +24,7 @@ from .loaded import LoadedSplats, Reading, finish, opened
 from .ply_compressed import is_compressed, read_compressed
 from .ply_header import FORMATS, TYPE_NAMES, Element, Header, format_header, read_header
 from .ply_kinds import notes_of
+from .up_said import up_in_comments
 
 _CHUNK = 8192
 """Rows handled at once: small enough that a piece of the file stays in the processor's cache."""
@@ -154,7 +155,8 @@ def _read_splats(
         start += len(piece)
         yield start / vertex.count
         piece = next(source, None)
-    cloud = replace(cloud, extra=extra, stored=stored, notes=notes_of(vertex.properties))
+    said = up_in_comments(header.comments)
+    cloud = replace(cloud, extra=extra, stored=stored, notes=notes_of(vertex.properties), up=said)
     doubles.update({name: stored[name] for name in codec.MEANS if name in stored})
     return recentre(cloud, [doubles.get(name) for name in codec.MEANS], path), valid
 

@@ -21,7 +21,7 @@ def test_what_is_no_splat_file_is_named_with_a_remedy(tmp_path):
     (tmp_path / "b.spz").write_bytes(b"\x1f\x8b something else")
     (tmp_path / "b.lcc").write_bytes(b"something else")
     (tmp_path / "c.ply").write_bytes(b"no header")
-    with pytest.raises(InputError, match=r"b\.spz is damaged \(it cannot be unpacked.*export it again"):
+    with pytest.raises(InputError, match=r"b\.spz' is damaged \(it cannot be unpacked.*export it again"):
         read_splats(tmp_path / "b.spz")
     with pytest.raises(InputError, match=r"b\.lcc' is a capture of XGRIDS; turn it into a \.ply .* splat-transform"):
         read_splats(tmp_path / "b.lcc")
