@@ -39,7 +39,8 @@ def run(options: argparse.Namespace) -> None:
             from ..scene.gltf_export import export_glb
 
             still = options.rotate or options.set or options.action or options.frame is not None
-            export_glb(options.out, [obj], posed=bool(still))
+            for sentence in export_glb(options.out, [obj], posed=bool(still)):
+                print_message(f"Warning: {sentence}")
     if kind == ".blend":
         rig_files.save_blend(options.out)
     print_message(f"'{obj.name}' is posed in '{options.out}'.")

@@ -6,6 +6,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from .console import print_message
+
 if TYPE_CHECKING:
     import bpy
 
@@ -17,6 +19,7 @@ def save_rigged(out: Path, obj: bpy.types.Object) -> None:
     if out.suffix.lower() == ".glb":
         from ..scene.gltf_export import export_glb
 
-        export_glb(out, [obj])
+        for sentence in export_glb(out, [obj]):
+            print_message(f"Warning: {sentence}")
     else:
         rig_files.save_blend(out)
