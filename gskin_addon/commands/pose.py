@@ -44,7 +44,8 @@ def run(options: argparse.Namespace) -> None:
             from ..scene.gltf_export import export_glb
 
             still = options.rotate or options.set or options.action or options.frame is not None
-            export_glb(options.out, [obj], posed=bool(still))
+            for sentence in export_glb(options.out, [obj], posed=bool(still)):
+                print_message(f"Warning: {sentence}")
             say_left_out(options.out, as_in_file(obj, read_cloud(obj), GLTF_UP))
     if kind == ".blend":
         rig_files.save_blend(options.out)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-_WORDS = r"(?:vertical[ _-]?axis|up[ _-]?axis|world[ _-]?up|up[ _-]?vector|up[ _-]?direction|upaxis)\b\s*[:=]?|up\s*[:=]"
+_WORDS = r"(?:vertical[ _-]?axis|up[ _-]?axis|world[ _-]?up|up[ _-]?(?:vector|direction))\b\s*[:=]?|up\s*[:=]"
 _SAID = re.compile(rf"\b(?:{_WORDS})\s*(?P<axis>[+-]?\s*[xyz]\b|[-+\d.eE]+[ ,]+[-+\d.eE]+[ ,]+[-+\d.eE]+)", re.I)
 """Nerfstudio writes "Vertical Axis: z", Brush "Vertical axis: y", others "up_axis = -y" or "world_up 0 -1 0"."""
 _SHORT = re.compile(r"(?<![\w.])(?P<axis>[+-]?[xyz])[ _-]?(?:is[ _-]?)?up\b", re.I)
