@@ -189,7 +189,7 @@ def _render(commands: Any) -> None:
         help="our rasteriser, or Blender's Cycles (.blend)",
     )
     _up(render, UP_AXES, "the splat file's up axis (default: by the format's rules, else z)")
-    render.add_argument("--python", metavar="PYTHON", default="", help="the Python with numba that draws")
+    render.add_argument("--python", metavar="PYTHON", default="", help="the Python that draws for --view camera")
     _progress(render)
     _front(render)
     _posing(render)

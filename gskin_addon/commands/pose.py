@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING
 
 from ..core.errors import InputError
 from ..core.splats.formats import FILE_TYPES, output_format, write_splats
+from ..core.splats.gltf_file import UP as GLTF_UP
 from .blender import require_bpy
 from .console import print_message
 from .paths import check_output, same_file
+from .save import say_left_out
 
 if TYPE_CHECKING:
     import bpy
@@ -31,16 +33,20 @@ def run(options: argparse.Namespace) -> None:
         from ..scene import rig_files
         from ..scene.placement import as_in_file
         from ..scene.posing import posed_cloud
+        from ..scene.splat_object import read_cloud
 
         if kind in SPLATS:
             form = output_format(options.out)
-            write_splats(options.out, as_in_file(obj, posed_cloud(obj), options.up or form.up), up=form.up)
+            cloud = as_in_file(obj, posed_cloud(obj), options.up or form.up)
+            write_splats(options.out, cloud, up=form.up)
+            say_left_out(options.out, cloud)
         elif kind == ".glb":
             from ..scene.gltf_export import export_glb
 
             still = options.rotate or options.set or options.action or options.frame is not None
             for sentence in export_glb(options.out, [obj], posed=bool(still)):
                 print_message(f"Warning: {sentence}")
+            say_left_out(options.out, as_in_file(obj, read_cloud(obj), GLTF_UP))
     if kind == ".blend":
         rig_files.save_blend(options.out)
     print_message(f"'{obj.name}' is posed in '{options.out}'.")
@@ -76,7 +82,8 @@ def posed(options: argparse.Namespace) -> Iterator[bpy.types.Object]:
         name = armature.library.filepath
         armature = own_rig(armature)
         print_message(f"Armature '{armature.name}' was linked from '{name}'; it is the file's own now.")
-    with shown([obj, proxy_of(obj), armature], select=True):
+    drawn = getattr(options, "engine", "") == "cycles"
+    with shown([obj], render=drawn), shown([obj, proxy_of(obj), armature], select=True):
         if armature is not None:
             for note in pose_still(obj, armature, wanted):
                 print_message(f"{note[:1].upper()}{note[1:]}.")

@@ -5,22 +5,16 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import importlib.util
-import subprocess
-import tempfile
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import GSkinError, InputError
+from ..core.errors import InputError
 from ..core.files import write_png
 from ..core.job.settings import FRONTS
 from ..core.splats.axes import rotate_cloud, up_rotation
 from ..core.splats.cloud import SH_C0, SplatCloud
-from ..core.splats.ply import write_ply
-from ..core.worker.interpreter import find_worker_python, worker_environment
 from .console import print_message
 from .paths import check_output
 from .pose import posed
@@ -64,10 +58,7 @@ def run(options: argparse.Namespace) -> None:
                     cloud = _colored(cloud, _weight_colors(obj))
                 elif options.color == "confidence":
                     cloud = _colored(cloud, _confidence_colors(obj))
-                if importlib.util.find_spec("numba") is not None:
-                    draw(cloud, options)
-                else:
-                    _draw_elsewhere(cloud, options)
+                draw(cloud, options)
     print_message(f"'{options.out}' is drawn.")
 
 
@@ -105,21 +96,3 @@ def _weight_colors(obj: bpy.types.Object) -> NDArray[Any]:
     weights, _ = read_weights(obj)
     total = weights.sum(axis=1, keepdims=True)
     return weight_colors(weights / np.maximum(total, 1e-12))
-
-
-def _draw_elsewhere(cloud: SplatCloud, options: argparse.Namespace) -> None:
-    """Blender's own Python has no numba: the worker's Python draws the posed splats."""
-    python = find_worker_python(options.python)
-    if python is None:
-        raise InputError("No Python with numba was found to draw with; name one with --python or GSKIN_PYTHON.")
-    program = Path(__file__).resolve().parents[1] / "cli.py"
-    with tempfile.TemporaryDirectory(prefix="gskin-render-") as folder:
-        posed = Path(folder) / "posed.ply"
-        write_ply(posed, cloud)
-        command = [str(python), str(program), "render", str(posed), "--out", str(options.out.absolute())]
-        command += ["--view", options.view, f"--front={options.front}", "--size", str(options.size)]
-        command += ["--background", *(str(value) for value in options.background)]
-        done = subprocess.run(command, env=worker_environment(), capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        reason = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
-        raise GSkinError(f"'{python}' could not draw the splats: {reason}")

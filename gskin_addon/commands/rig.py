@@ -21,7 +21,7 @@ from ..core.job.mesh_files import read_mesh
 from ..core.job.progress import ProgressEvent
 from ..core.job.progress_text import ProgressPrinter
 from ..core.job.settings import JobSettings
-from ..core.job.up_axis import resolve_up
+from ..core.job.up_axis import default_up, resolve_up
 from ..core.splats import formats
 from ..core.splats.axes import rotate_cloud, up_rotation
 from ..core.splats.cleanup import clamp_aspect, find_faint_giants, find_strays, isotropic
@@ -69,6 +69,7 @@ def run(options: argparse.Namespace) -> None:
     require_bpy()
     from ..scene import names, rig_files
     from ..scene.armature import read_skeleton
+    from ..scene.dependencies import needed_objects, unheard_drivers
     from ..scene.placement import bring_rig, fits_in_file
     from ..scene.proxy_object import create_mesh_object
     from ..scene.splat_object import create_splat_object
@@ -77,7 +78,13 @@ def run(options: argparse.Namespace) -> None:
 
     rig_files.empty_scene()
     armature = rig_files.import_armature(options.armature, options.armature_name)
-    up, assumed = resolve_up(options.up or cloud.up or "z", cloud, read_skeleton(armature))
+    for path in unheard_drivers(needed_objects(armature)):
+        print_message(f"The driver of {path} needs Python, which no file may run here; its value stays as it is.")
+    skeleton = read_skeleton(armature)
+    if options.up is None:
+        up, assumed = default_up(cloud, skeleton)
+    else:
+        up, assumed = resolve_up(options.up, cloud, skeleton, options.splats)
     if assumed:
         print_message(f"'{options.splats}': {assumed}.")
     turned = rotate_cloud(cloud, up_rotation(up))
@@ -109,7 +116,8 @@ def run(options: argparse.Namespace) -> None:
                 shutil.copyfile(job.client.folder / WEIGHTS, temporary)
         sentence = job.apply()
         save_rigged(options.out, splats)
-    print_message(f"{sentence}, in '{options.out}'.")
+    axis = "" if assumed or options.up else f", {up.upper()} up"
+    print_message(f"{sentence}{axis}, in '{options.out}'.")
 
 
 def read_splats(path: Path, drop_invalid: bool) -> SplatCloud:

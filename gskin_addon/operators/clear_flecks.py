@@ -9,7 +9,7 @@ from ..scene.render import clear_flecks, has_flecks
 
 
 class GSKIN_OT_clear_flecks(bpy.types.Operator):
-    """Let every ray of Cycles pass 32 splats before it may end by lot, which leaves white flecks; takes longer"""
+    """Let every ray of Cycles pass 64 splats before it may end by lot, which leaves white flecks; takes longer"""
 
     bl_idname = "gskin.clear_flecks"
     bl_label = "Clear Cycles' Flecks"

@@ -308,6 +308,8 @@ def _add_splats(gltf2_mesh: Any, cloud: SplatCloud) -> None:
     primitive.extensions[gltf.EXTENSION_NAME] = Extension(
         name=gltf.EXTENSION_NAME, extension=dict(gltf.EXTENSION), required=False
     )
+    if cloud.offset.any():
+        primitive.extras = {**(primitive.extras or {}), gltf.OFFSET_EXTRAS_NAME: cloud.offset.tolist()}
     if "JOINTS_0" in attributes:
         primitive.extras = {**(primitive.extras or {}), gltf.SKINNING_EXTRAS_NAME: dict(gltf.SKINNING_EXTRAS)}
 

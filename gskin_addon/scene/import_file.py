@@ -14,8 +14,11 @@ from ..core.rig.skeleton import Skeleton
 from ..core.splats.axes import rotate_in_place, up_rotation
 from ..core.splats.cloud import SplatCloud
 from ..core.splats.formats import reading
+from ..core.splats.gltf_file import UP as GLTF_UP
 from . import names
 from .armature import read_skeleton
+from .bone_frames import armature_of
+from .gltf_import import bring_rig_of, is_rigged
 from .placement import fits_where_it_is, place_on_floor
 from .splat_object import create_splat_steps
 from .steps import Steps, part_of
@@ -50,7 +53,7 @@ def import_steps(
     Nothing of it stays where the steps end early. Raises InputError as `read_splats`.
     """
     loaded = yield from part_of(reading(path, drop_invalid=options.drop_invalid), 0.0, 0.6)
-    up, assumed = resolve_up(options.up, loaded.cloud, skeleton_of(armature))
+    up, assumed = resolve_up(options.up, loaded.cloud, skeleton_of(armature), path)
     yield 0.6
     cloud = yield from part_of(rotate_in_place(loaded.cloud, up_rotation(up)), 0.6, 0.75)
     obj = yield from part_of(create_splat_steps(cloud, stem_of(path), collection=collection), 0.75, 1.0)
@@ -58,7 +61,9 @@ def import_steps(
     words = [f"{path.name}: {cloud.count:,} splats, spherical harmonics of degree {cloud.sh_degree}"]
     if assumed:
         words.append(assumed)
-    if options.place:
+    if up == GLTF_UP and is_rigged(path):
+        words.append(bring_rig_of(path, obj, loaded.kept)[1])
+    if options.place and armature_of(obj) is None:
         yield 1.0
         within = _armature_within(scene, cloud)
         if within is not None:

@@ -45,6 +45,13 @@ def import_armature(path: Path, name: str | None = None) -> bpy.types.Object:
     return armature
 
 
+def import_objects(path: Path) -> list[bpy.types.Object]:
+    """All objects of a .glb, .gltf or .fbx file, added to the scene. Raises InputError where Blender cannot read it."""
+    before = set(bpy.data.objects)
+    _import(path)
+    return [obj for obj in bpy.data.objects if obj not in before]
+
+
 def open_blend(path: Path) -> None:
     """Open a .blend without running its scripts. Raises InputError where it cannot be read."""
     if not path.is_file():

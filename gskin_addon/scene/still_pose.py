@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import bpy
+import mathutils
 import numpy as np
 from numpy.typing import NDArray
 
@@ -82,6 +83,9 @@ def _use_action(
         track.mute, track.is_solo = True, False
     if playing:
         notes.append(f"NLA tracks of '{armature.name}' were muted for the action '{name}'")
+    # A clip says how bones stand that it does not key: at rest, also in glTF. What was posed by hand is no part of it.
+    for bone in armature.pose.bones:
+        bone.matrix_basis = mathutils.Matrix()
     assign(armature, part)
     slotted = [found for found in parts_of(part.action) if found.slot is not None]
     for other in needed:

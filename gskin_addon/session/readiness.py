@@ -117,7 +117,10 @@ def _splats_check(context: bpy.types.Context, splats: bpy.types.Object | None) -
 
 def _armature_check(context: bpy.types.Context, armature: bpy.types.Object | None) -> Check:
     if armature is None:
-        return Check("Armature", "stop", _instanced(context) or "No armature is chosen: add one, or select it")
+        instanced = _instanced(context)
+        if instanced:
+            return Check("Armature", "stop", instanced)
+        return Check("Armature", "stop", "No armature is chosen: add one, or select it")
     if not any(bone.use_deform for bone in armature.data.bones):
         sentence = f"Armature '{armature.name}' has no deform bones: turn on Deform for some"
         if not armature.data.bones or armature.mode == "EDIT":

@@ -14,6 +14,8 @@ import splat_clouds as clouds
 import worker_jobs as jobs
 
 from gskin_addon import cli
+from gskin_addon.core.splats.axes import rotate_cloud, up_rotation
+from gskin_addon.core.splats.formats import read_splats
 from gskin_addon.core.worker.client import WorkerClient
 from gskin_addon.scene import placement
 from gskin_addon.scene.rig_files import find_splats, open_blend
@@ -218,3 +220,45 @@ def test_a_large_capture_is_not_refused(tmp_path):
     splats, rig = inputs(tmp_path, None, columns)
     there_and_back(tmp_path, splats, rig)
     assert bpy.data.objects["Rig"].scale[0] == 1.0
+
+
+@pytest.mark.parametrize("case", ["up_axis/colmap.ply", None])
+def test_the_axis_that_fits_the_rig_is_assumed_and_said(tmp_path, case, capsys):
+    columns = figures.figure()
+    columns["y"], columns["z"] = -columns["z"], columns["y"]
+    splats, rig = inputs(tmp_path, case, columns)
+    before, after = clouds.read_columns(splats), there_and_back(tmp_path, splats, rig)
+    np.testing.assert_allclose(after["y"], before["y"], rtol=0, atol=1e-6)
+    assert "assumed -Y up, so 100% of the armature's bones" in capsys.readouterr().err
+
+
+def test_a_glb_says_what_it_cannot_hold_and_keeps_the_way_back(tmp_path, capsys):
+    columns = far()
+    columns["gps_time"] = np.arange(900.0)
+    splats, rig = inputs(tmp_path, None, columns, location=UTM)
+    out = tmp_path / "r.glb"
+    assert run("rig", splats, "--armature", rig, "--out", out, "--progress", "none") == 0
+    words = capsys.readouterr().err
+    assert "no place for the columns gps_time" in words
+    assert "(448252, 33, -5411943) must be added" in words or "(448252, 33, -5411944) must be added" in words
+    cloud = rotate_cloud(read_splats(out).cloud, up_rotation("y"))
+    for axis, name in enumerate("xyz"):
+        back = cloud.means[:, axis].astype(np.float64) + cloud.offset[axis]
+        np.testing.assert_allclose(back, columns[name], rtol=0, atol=1e-6)
+
+
+def test_an_action_does_not_keep_what_was_posed_by_hand(tmp_path):
+    """Bones that an action does not key stand at rest, as in a .glb."""
+    splats, rig = inputs(tmp_path, None, figures.figure())
+    armature = bpy.data.objects["Rig"]
+    bone = armature.pose.bones["arm.L"]
+    bone.rotation_mode = "QUATERNION"
+    bone.keyframe_insert("rotation_quaternion", frame=1)
+    armature.animation_data.action.name = "Wave"
+    spine = armature.pose.bones["spine"]  # which carries every splat here
+    spine.rotation_mode, spine.rotation_euler = "XYZ", (1.0, 0.5, 0.0)
+    bpy.ops.wm.save_as_mainfile(filepath=str(rig), copy=True)
+    before = clouds.read_columns(splats)
+    after = there_and_back(tmp_path, splats, rig, pose_options=["--action", "Wave"])
+    for name in "xyz":
+        np.testing.assert_allclose(after[name], before[name], rtol=0, atol=1e-6)

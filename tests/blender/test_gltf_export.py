@@ -25,10 +25,12 @@ from gskin_addon.core.splats.axes import rotate_cloud, up_rotation
 from gskin_addon.core.splats.gltf import fallback_color
 from gskin_addon.scene import gltf_export
 from gskin_addon.scene.attributes import read_attribute, read_positions
+from gskin_addon.scene.bone_frames import armature_of
 from gskin_addon.scene.gltf_export import SplatExport, export_glb
 from gskin_addon.scene.node_groups import find_display
+from gskin_addon.scene.posing import posed_cloud
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud
-from gskin_addon.scene.weights import write_weights
+from gskin_addon.scene.weights import read_weights, write_weights
 
 COUNT = 400
 BONES = {
@@ -158,6 +160,33 @@ def test_inverse_bind_matrices(scene, exported):
         bone = armature.data.bones[exported.json["nodes"][joint]["name"]]
         rest = turn @ np.array(armature.matrix_world) @ np.array(bone.matrix_local)
         np.testing.assert_allclose(matrix @ rest, np.eye(4), atol=1e-5)
+
+
+def test_our_import_reads_the_rigged_file_back(scene, tmp_path):
+    """Splats with all that they have, weights as vertex groups, the armature and its action."""
+    obj, _, weights = scene
+    export_glb(tmp_path / "out.glb", [obj])
+    before, bones = read_cloud(obj), list(BONES)
+    bpy.context.scene.frame_set(5)
+    posed = posed_cloud(obj)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    gskin_addon.register()
+    try:
+        assert bpy.ops.gskin.import_splats(filepath=str(tmp_path / "out.glb"), place=True) == {"FINISHED"}
+        back = bpy.context.object
+        assert_clouds_equal(read_cloud(back), before)
+        assert armature_of(back).name == "Rig"
+        found, _ = read_weights(back, bones)
+        index, weight = top_influences(weights, 4)
+        expected = np.zeros_like(weights)
+        np.put_along_axis(expected, index, weight, axis=1)
+        np.testing.assert_allclose(found, expected, atol=1e-5)
+        assert [other for other in bpy.data.objects if len(getattr(other.data, "vertices", ())) == COUNT] == [back]
+        assert "Wave" in bpy.data.actions[0].name
+        bpy.context.scene.frame_set(4)  # a clip begins at 0, its frame 1
+        np.testing.assert_allclose(posed_cloud(back).means, posed.means, atol=2e-4)
+    finally:
+        gskin_addon.unregister()
 
 
 def test_who_ignores_skins_finds_the_splats_where_they_are(scene, exported):

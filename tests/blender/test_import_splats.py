@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 import pytest
 import rig_scenes as rigs
@@ -13,11 +15,17 @@ bpy = pytest.importorskip("bpy")
 import gskin_addon
 from gskin_addon.core.rig.lbs import sparsify
 from gskin_addon.core.rig.weights_file import write_weights_file
-from gskin_addon.core.splats.formats import FILE_TYPES
+from gskin_addon.core.splats.axes import rotate_cloud, up_rotation
+from gskin_addon.core.splats.formats import FILE_TYPES, FORMATS, read_splats
 from gskin_addon.core.splats.ply import write_ply
+from gskin_addon.core.splats.sog_write import write_sog
+from gskin_addon.core.splats.spz import write_spz
 from gskin_addon.scene.armature import read_skeleton
 from gskin_addon.scene.attributes import read_attribute
 from gskin_addon.scene.bone_frames import armature_of
+from gskin_addon.scene.gltf_export import export_glb
+from gskin_addon.scene.import_file import ImportOptions, import_steps
+from gskin_addon.scene.placement import up_of
 from gskin_addon.scene.rotation_nodes import frames_of
 from gskin_addon.scene.splat_object import create_splat_object, is_splat_object, read_cloud
 from gskin_addon.scene.weights import read_weights, write_weights
@@ -88,6 +96,72 @@ def test_dropped_files_find_the_operator():
     assert set(handler.bl_file_extensions.split(";")) == set(FILE_TYPES)
 
 
+@pytest.mark.parametrize("name", sorted(FORMATS))
+def test_every_format_becomes_an_object(tmp_path, name):
+    """Also .sog, whose images Blender decodes: Pillow is hidden."""
+    form = FORMATS[name]
+    cloud = clouds.random_cloud(300, 2)
+    path = tmp_path / f"vase{form.suffixes[0]}"
+    form.write(path, cloud)
+    wanted = read_splats(path).cloud
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, "PIL", None)
+        assert bpy.ops.gskin.import_splats(filepath=str(path), up="z") == {"FINISHED"}
+    obj = bpy.context.view_layer.objects.active
+    assert obj.name == "vase"
+    found = read_cloud(obj)
+    np.testing.assert_array_equal(found.means, wanted.means)
+    np.testing.assert_array_equal(found.sh, wanted.sh)
+    np.testing.assert_allclose(found.opacities, wanted.opacities, atol=1e-7)
+    assert not bpy.data.images
+
+
+def test_a_folder_of_a_sog_is_chosen_by_its_meta_json(tmp_path):
+    folder = tmp_path / "vase"
+    folder.mkdir()
+    write_sog(folder / "meta.json", clouds.random_cloud(40, 1))
+    assert bpy.ops.gskin.import_splats(filepath=str(folder / "meta.json")) == {"FINISHED"}
+    assert bpy.context.view_layer.objects.active.name == "vase"
+
+
+def test_guess_goes_by_the_format_where_splats_do_not_tell(tmp_path, capfd):
+    write_spz(tmp_path / "ball.spz", clouds.random_cloud(300, 1))
+    bpy.ops.gskin.import_splats(filepath=str(tmp_path / "ball.spz"))
+    assert "assumed Y up, as its format says" in capfd.readouterr().out
+    assert up_of(bpy.context.view_layer.objects.active) == "y"
+
+
+def test_import_in_slices_is_the_import_at_once(tmp_path):
+    """Every slice is a small part of the work; what is made is the same as from `rotate_cloud`."""
+    cloud = clouds.random_cloud(70_000, 1)
+    write_ply(tmp_path / "a.ply", cloud)
+    steps = import_steps(tmp_path / "a.ply", ImportOptions("y"), None, bpy.context.scene, bpy.context.collection)
+    shares = []
+    while True:
+        try:
+            shares.append(next(steps))
+        except StopIteration as stop:
+            obj = stop.value.object
+            break
+    assert shares == sorted(shares)
+    assert len(shares) > 20
+    wanted, found = rotate_cloud(cloud, up_rotation("y")), read_cloud(obj)
+    np.testing.assert_array_equal(found.means, wanted.means)
+    np.testing.assert_allclose(found.quats, wanted.quats, atol=1e-7)
+    np.testing.assert_allclose(found.sh, wanted.sh, atol=1e-6)
+
+
+@pytest.mark.parametrize("after", [1, 8, 12, 20])
+def test_an_import_that_ends_early_leaves_nothing(tmp_path, after):
+    write_ply(tmp_path / "a.ply", clouds.random_cloud(70_000, 1))
+    steps = import_steps(tmp_path / "a.ply", ImportOptions("y"), None, bpy.context.scene, bpy.context.collection)
+    for _ in range(after):
+        next(steps)
+    steps.close()
+    assert not bpy.data.meshes
+    assert not bpy.data.objects
+
+
 @pytest.fixture
 def rig():
     rng = np.random.default_rng(3)
@@ -96,6 +170,23 @@ def rig():
     armature.select_set(True)
     bpy.context.view_layer.objects.active = obj
     return obj, armature, rigs.random_weights(cloud, 5, rng), rng
+
+
+def test_a_rigged_glb_comes_back_at_rest(rig, tmp_path):
+    """Splats, rotations and harmonics, whatever the pose and wherever the armature stands."""
+    obj, armature, weights, rng = rig
+    write_weights(obj, armature, weights)
+    armature.location = 1.0, 2.0, 3.0
+    bpy.context.view_layer.update()
+    wanted = read_cloud(obj)
+    rigs.random_pose(armature, rng)
+    export_glb(tmp_path / "rigged.glb", [obj])
+    loaded = read_splats(tmp_path / "rigged.glb").cloud
+    found = rotate_cloud(loaded, up_rotation(loaded.up))
+    np.testing.assert_allclose(found.means, wanted.means, atol=1e-5)
+    np.testing.assert_allclose(found.scales, wanted.scales, rtol=1e-5)
+    np.testing.assert_allclose(found.sh, wanted.sh, atol=1e-5)
+    np.testing.assert_allclose(np.abs(np.einsum("ni,ni->n", found.quats, wanted.quats)), 1.0, atol=1e-5)
 
 
 def test_load_weights(rig, tmp_path):

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import io
 import json
 import os
@@ -35,6 +36,8 @@ from gskin_addon.core.pipeline.run import run
 from gskin_addon.core.rig.weights_file import read_weights_file
 from gskin_addon.core.skinning import presets
 from gskin_addon.core.skinning.learned.model_file import load_model, models_without, read_card
+from gskin_addon.core.splats.formats import SUFFIXES as SPLATS
+from gskin_addon.core.splats.formats import read_splats
 from gskin_addon.core.splats.ply import read_ply
 from gskin_addon.core.training.catalogue import list_assets
 from gskin_addon.core.training.guidance.pairs import PairDataset, encode_image
@@ -182,6 +185,13 @@ def test_a_scope(put, tmp_path):
 def test_splats(put):
     with pytest.raises(InputError, match=r"a\.ply"):
         read_ply(put("a.ply"))
+    with contextlib.suppress(InputError):  # by chance a whole number of splats
+        read_splats(put("b.splat"), drop_invalid=True)
+    for suffix in (*sorted({*SPLATS} - {".splat"}), ".zip", ".pkl", ""):
+        with pytest.raises(InputError, match=rf"b{suffix}"):
+            read_splats(put(f"b{suffix}"), drop_invalid=True)
+    with pytest.raises(InputError, match=r"meta\.json"):
+        read_splats(put("folder/meta.json"))
 
 
 def test_weights_of_the_oracle(put):

@@ -3,6 +3,10 @@
 
 from __future__ import annotations
 
+import atexit
+import functools
+import shutil
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -107,11 +111,26 @@ def wave(armature: Any, name: str, angle: float = 1.0) -> Any:
     return key(armature, "rotation_quaternion", quats, armature.pose.bones["arm.L"], name)
 
 
+@functools.cache
+def _base() -> Path:
+    """A file with the bound figure, made once: some versions of Blender need seconds to build the node groups."""
+    folder = Path(tempfile.mkdtemp(prefix="gskin-figure-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    empty()
+    add_splats(add_rig())
+    save(folder / "base.blend")
+    return folder / "base.blend"
+
+
+def open_base() -> tuple[Any, Any]:
+    """A fresh file with the bound figure: splats 'fig', armature 'Rig'."""
+    bpy.ops.wm.open_mainfile(filepath=str(_base()))
+    return bpy.data.objects["fig"], bpy.data.objects["Rig"]
+
+
 def rigged(path: Path, change: Callable[[Any, Any], None] | None = None) -> Path:
     """A .blend with the bound figure, after change(splats, armature)."""
-    empty()
-    armature = add_rig()
-    splats = add_splats(armature)
+    splats, armature = open_base()
     if change is not None:
         change(splats, armature)
     save(path)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from collections.abc import Sequence
 from importlib import import_module
 from typing import Any, Protocol
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..splats.cloud import SplatCloud
 from ..splats.sh import eval_sh
+from . import fragments
 from .backends import BACKENDS, resolve_backend
 from .camera import Camera
 
@@ -76,8 +78,14 @@ def render_cloud(
 ) -> tuple[Array, Array]:
     """Picture of a cloud: image (H,W,3) in 0..1 sRGB over `background` (3,), and alpha (H,W), float32.
 
-    By the CPU unless asked otherwise: for one picture it is done before a GPU has begun.
+    By the CPU unless asked otherwise: for one picture it is done before a GPU has begun. In numpy where this Python has
+    no numba.
     """
+    if backend == "cpu" and importlib.util.find_spec("numba") is None:
+        parts = cloud.means, cloud.quats, cloud.scales, view_colors(cloud, camera), cloud.opacities
+        picture = fragments.draw(*parts, camera)
+        red, green, blue = np.asarray(background, np.float32).tolist()
+        return picture.over((red, green, blue)), picture.alpha
     scene = prepare(cloud.scales, view_colors(cloud, camera), cloud.opacities, backend=backend)
     frame = scene.forward(cloud.means, cloud.quats, camera, background)
     return np.clip(frame.image, 0.0, 1.0), frame.alpha

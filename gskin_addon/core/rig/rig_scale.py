@@ -75,24 +75,26 @@ class _Fit:
         return self.off + self.bare
 
 
+def misfit(points: NDArray[Any], skeleton: Skeleton) -> float:
+    """How badly bones lie in splats at `points` (N, 3): distances of bones to splats over the rig's size, plus those of
+    splats to bones over their own. A few hundredths where all is well, infinite where one has no size.
+    """
+    rig, splats = _Bones(skeleton), _Splats(points)
+    return _fit(splats, rig.joints, rig.size).misfit if rig.size > 0.0 and splats.extent > 0.0 else float("inf")
+
+
 def guess_scale(points: NDArray[Any], skeleton: Skeleton, origin: NDArray[Any]) -> ScaleGuess:
     """Whether the bones are too small or too large for splats at `points` (N, 3); both in the world, metres.
 
     origin: (3,) of the armature object, about which it would be scaled.
     """
-    segments = bone_segments(skeleton)
-    ends = np.concatenate([segments.starts, segments.ends])
-    size = float(np.linalg.norm(np.ptp(ends, axis=0)))
-    low, high = np.percentile(points, [1, 99], axis=0)
-    extent = float(np.linalg.norm(high - low))
-    if not (size > 0.0 and extent > 0.0):
+    rig, splats = _Bones(skeleton), _Splats(points)
+    extent = splats.extent
+    if not (rig.size > 0.0 and extent > 0.0):
         return ScaleGuess()
-    along = np.linspace(0.0, 1.0, _PER_BONE)[:, None, None]
-    joints = _some((segments.starts + along * (segments.ends - segments.starts)).reshape(-1, 3), _BONE_POINTS)
-    splats = _some(np.asarray(points, np.float64), _SPLAT_POINTS)
 
     def fit(factor: float, pivot: Array) -> _Fit:
-        return _fit(splats, pivot + factor * (joints - pivot), factor * size, extent)
+        return _fit(splats, pivot + factor * (rig.joints - pivot), factor * rig.size)
 
     here = fit(1.0, np.zeros(3))
     if not _doubtful(here):
@@ -116,12 +118,34 @@ def _doubtful(fit: _Fit) -> bool:
     return fit.ratio < _LARGE or (fit.ratio > _SMALL and missing) or fit.off > _OFF
 
 
-def _fit(splats: Array, joints: Array, size: float, extent: float) -> _Fit:
-    square = (splats**2).sum(axis=1)[:, None] + (joints**2).sum(axis=1) - 2.0 * splats @ joints.T
+class _Bones:
+    """joints (M, 3): points along the bones; size: of the box of the bones."""
+
+    def __init__(self, skeleton: Skeleton) -> None:
+        segments = bone_segments(skeleton)
+        ends = np.concatenate([segments.starts, segments.ends])
+        self.size = float(np.linalg.norm(np.ptp(ends, axis=0)))
+        along = np.linspace(0.0, 1.0, _PER_BONE)[:, None, None]
+        points = segments.starts + along * (segments.ends - segments.starts)
+        self.joints = _some(points.reshape(-1, 3), _BONE_POINTS)
+
+
+class _Splats:
+    """points (M, 3): some of the splats; extent: of the box of all but the outermost hundredths."""
+
+    def __init__(self, points: NDArray[Any]) -> None:
+        low, high = np.percentile(points, [1, 99], axis=0)
+        self.extent = float(np.linalg.norm(high - low))
+        self.points = _some(np.asarray(points, np.float64), _SPLAT_POINTS)
+
+
+def _fit(splats: _Splats, joints: Array, size: float) -> _Fit:
+    points = splats.points
+    square = (points**2).sum(axis=1)[:, None] + (joints**2).sum(axis=1) - 2.0 * points @ joints.T
     distance = np.sqrt(np.maximum(square, 0.0))
     off = float(np.percentile(distance.min(axis=0), 80)) / size
-    bare = float(np.percentile(distance.min(axis=1), 90)) / extent
-    return _Fit(FILLED * extent / size, off, bare)
+    bare = float(np.percentile(distance.min(axis=1), 90)) / splats.extent
+    return _Fit(FILLED * splats.extent / size, off, bare)
 
 
 def _some(points: Array, count: int) -> Array:

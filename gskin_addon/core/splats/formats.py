@@ -18,6 +18,7 @@ from .ksplat import read_ksplat, write_ksplat
 from .loaded import LoadedSplats, Reading
 from .other_formats import REMEDIES, TRANSFORM
 from .ply import read_ply_pieces, write_ply
+from .ply_codec import NORMALS
 from .ply_compressed_write import write_compressed
 from .sog import MAGIC as ZIP
 from .sog import META, read_sog
@@ -63,6 +64,7 @@ SUFFIXES = tuple(suffix for form in FORMATS.values() for suffix in form.suffixes
 FILE_TYPES = tuple(dict.fromkeys(f".{suffix.rpartition('.')[2]}" for suffix in SUFFIXES))
 """What file browsers and handlers of dropped files look at: the part after the last dot."""
 
+
 def read_splats(path: Path, *, drop_invalid: bool = False) -> LoadedSplats:
     """Read a file of any known format, recognised by its first bytes, else by its name.
 
@@ -89,10 +91,24 @@ def write_splats(path: Path, cloud: SplatCloud, *, up: str = "z") -> None:
     """
     form = output_format(path)
     if cloud.count == 0:
-        raise InputError(f"{path}: there are no splats to write; select at least one.")
+        raise InputError(f"'{path}': there are no splats to write; select at least one.")
     if form.up and form.up != up:
         cloud = rotate_cloud(cloud, up_rotation(form.up).T @ up_rotation(up))
     form.write(path, cloud)
+
+
+def left_out(path: Path, cloud: SplatCloud) -> tuple[str, ...]:
+    """Clauses about what a cloud has that the format of a file to be written has no place for. InputError as above."""
+    if output_format(path) is FORMATS["ply"]:
+        return ()
+    words = []
+    columns = [name for name in cloud.extra if name not in NORMALS]
+    if columns:
+        words.append(f"the format has no place for the columns {', '.join(columns)}")
+    if cloud.offset.any():
+        place = ", ".join(f"{value:.12g}" for value in cloud.offset)
+        words.append(f"its coordinates are near the origin: ({place}) must be added; .ply output has them whole")
+    return tuple(words)
 
 
 def output_format(path: Path) -> SplatFormat:
@@ -124,10 +140,12 @@ def find_format(path: Path) -> SplatFormat:
     what = REMEDIES.get(path.suffix.lower())
     if what is not None and start.startswith((ZIP, GZIP)):
         raise InputError(f"'{path}' is {what}.")  # others also have zips and gzip streams
+    named = named_format(path)
+    if named is not None and not named.magics and start.startswith(GZIP):
+        return named  # a coordinate may begin with these two bytes
     for form in FORMATS.values():
         if start.startswith(form.magics):
             return form
-    named = named_format(path)
     if named is not None:
         if not path.is_file():
             raise InputError(f"'{path}' does not exist; check the path of the splats.")

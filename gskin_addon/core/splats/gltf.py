@@ -35,6 +35,10 @@ SKINNING_EXTRAS: Mapping[str, Any] = {
 """In the primitive's extras: how the splats turn with the skin; `docs/gltf.md` defines each value."""
 
 
+OFFSET_EXTRAS_NAME = "GSKIN_geo_offset"
+"""In the primitive's extras: what must be added to positions for coordinates far from the origin, in glTF's axes."""
+
+
 def blender_to_gltf() -> NDArray[np.float64]:
     """(3, 3) rotation from Blender's Z-up world to glTF's Y-up world: (x, y, z) -> (x, z, -y)."""
     return up_rotation("y").T

@@ -58,7 +58,7 @@ class GltfFile:
         compressed = next(iter(view.get("extensions") or ()), None)
         if compressed is not None:
             raise InputError(
-                f"{self.path} is compressed by {compressed:.60}, which is not read; export it without, or as .ply."
+                f"'{self.path}' is compressed by {compressed:.60}, which is not read; export it without, or as .ply."
             )
         start, length = self._whole(view, "byteOffset", 0), self._whole(view, "byteLength", None)
         place = self._whole(view, "buffer", None)
@@ -76,7 +76,7 @@ class GltfFile:
         if code is None or width is None:
             raise damaged(self.path, f"accessor {index} is of no type that splats have")
         if "sparse" in table or "bufferView" not in table:
-            raise InputError(f"{self.path} has a sparse accessor, which is not read; export it again without.")
+            raise InputError(f"'{self.path}' has a sparse accessor, which is not read; export it again without.")
         dtype = np.dtype(code)
         count, offset = self._whole(table, "count", None), self._whole(table, "byteOffset", 0)
         data = self.view_bytes(table["bufferView"])
@@ -117,7 +117,7 @@ def read_container(path: Path) -> GltfFile:
             raise cut_off(path, "within its header")
         version, length = struct.unpack_from("<II", start, 4)
         if version != 2:
-            raise InputError(f"{path} is glTF of version {version}, and version 2 is read; export it again.")
+            raise InputError(f"'{path}' is glTF of version {version}, and version 2 is read; export it again.")
         if length > size:
             raise cut_off(path, f"it announces {length:,} bytes and has {size:,}")
         text, binary = b"", None
@@ -144,7 +144,7 @@ def _parse(path: Path, text: bytes) -> dict[str, Any]:
         raise damaged(path, f"no JSON: {first_line(error)}") from error
     asset = parsed.get("asset") if isinstance(parsed, dict) else None
     if not isinstance(asset, dict) or not str(asset.get("version", "")).startswith("2."):
-        raise InputError(f"{path} is no glTF 2.0 file; choose another file.")
+        raise InputError(f"'{path}' is no glTF 2.0 file; choose another file.")
     found: dict[str, Any] = parsed
     return found
 
@@ -180,7 +180,7 @@ def _beside(path: Path, name: str) -> NDArray[np.uint8]:
         raise damaged(path, f"it names the file {name!r:.60}, which is not one beside it")
     other = path.parent.joinpath(*parts)
     if not other.is_file():
-        raise InputError(f"{path} lacks '{name}', which it names; copy it beside it, or export a .glb.")
+        raise InputError(f"'{path}' lacks '{name}', which it names; copy it beside it, or export a .glb.")
     with opened(other) as (file, size):
         return _mapped(file, 0, size)
 

@@ -26,6 +26,7 @@ from .gltf import (
     EXTENSION,
     EXTENSION_NAME,
     MAX_GLTF_SH_DEGREE,
+    OFFSET_EXTRAS_NAME,
     encode_attributes,
     fallback_color,
     linear_to_srgb,
@@ -50,11 +51,12 @@ Part = tuple[SplatCloud, NDArray[np.bool_]]
 
 @dataclass(frozen=True)
 class _Primitive:
-    """A primitive that holds splats, and where its node puts it: 4 x 4."""
+    """A primitive that holds splats, where its node puts it (4 x 4), and its offset (3,), see `SplatCloud`."""
 
     attributes: Mapping[str, Any]
     extension: Mapping[str, Any]
     matrix: NDArray[np.float64]
+    offset: NDArray[np.float64]
 
 
 def read_gltf(path: Path, drop_invalid: bool) -> Reading:
@@ -67,7 +69,7 @@ def read_gltf(path: Path, drop_invalid: bool) -> Reading:
     found = list(_primitives(file))
     if not found:
         raise InputError(
-            f"{path} has no Gaussian splats ({EXTENSION_NAME}) in its scene; choose a file with splats, or import it "
+            f"'{path}' has no Gaussian splats ({EXTENSION_NAME}) in its scene; choose a file with splats, or import it "
             "as a mesh or an armature with File > Import > glTF."
         )
     parts: list[Part] = []
@@ -125,11 +127,20 @@ def _primitives(file: GltfFile) -> Iterator[_Primitive]:
             if isinstance(extension, dict):
                 kernel = extension.get("kernel", "ellipse")
                 if kernel != "ellipse":
-                    raise InputError(f"{file.path} has splats with the kernel {kernel!r:.40}, which are not read.")
+                    raise InputError(f"'{file.path}' has splats with the kernel {kernel!r:.40}, which are not read.")
                 # A skin alone says where what it deforms is; its node does not move it (glTF 2.0, 3.7.3.3).
                 place = np.eye(4) if "skin" in node else matrix
                 names = {str(name).upper(): value for name, value in _table(primitive, "attributes").items()}
-                yield _Primitive(names, extension, place)
+                yield _Primitive(names, extension, place, _offset(_table(primitive, "extras")))
+
+
+def _offset(extras: Mapping[str, Any]) -> NDArray[np.float64]:
+    """The offset that `scene/gltf_export.py` has noted; zeros where there is none."""
+    try:
+        offset = np.array(extras.get(OFFSET_EXTRAS_NAME, (0.0, 0.0, 0.0)), np.float64)
+    except (TypeError, ValueError):
+        offset = np.empty(0)
+    return offset if offset.shape == (3,) and np.isfinite(offset).all() else np.zeros(3)
 
 
 def _table(parent: Any, key: str) -> Mapping[str, Any]:
@@ -179,7 +190,7 @@ def _compressed(file: GltfFile, primitive: _Primitive) -> NDArray[np.uint8] | No
     for name in extensions:
         if name not in _SPZ:
             raise InputError(
-                f"{file.path} has splats compressed by {name!r:.60}, which is not read; export it without compression."
+                f"'{file.path}' has splats compressed by {name!r:.60}, which is not read; export it uncompressed."
             )
         return file.view_bytes(_table(extensions, name).get("bufferView"))
     return None
@@ -257,12 +268,13 @@ def _to_srgb(cloud: SplatCloud, rows: slice) -> None:
 
 def _placed(path: Path, cloud: SplatCloud, primitive: _Primitive) -> SplatCloud:
     """The splats where their node puts them."""
+    cloud = replace(cloud, offset=primitive.offset)
     if np.array_equal(primitive.matrix, np.eye(4)):
         return cloud
     found = rigid_part(primitive.matrix[:3, :3])
     if found is None:
         raise InputError(
-            f"{path} has splats below a node that mirrors, shears or stretches them, which they cannot follow; "
+            f"'{path}' has splats below a node that mirrors, shears or stretches them, which they cannot follow; "
             "apply its scale before exporting."
         )
     rotation, scale = found
@@ -287,7 +299,10 @@ def _joined(clouds: list[SplatCloud]) -> Generator[float, None, SplatCloud]:
             whole.sh[there, cloud.sh.shape[1] :] = 0.0
             yield 1.0
         start += cloud.count
-    return replace(whole, notes=tuple(dict.fromkeys(note for cloud in clouds for note in cloud.notes)))
+    offset = clouds[0].offset
+    if any((cloud.offset != offset).any() for cloud in clouds):
+        offset = np.zeros(3)  # parts of different places: as they stand
+    return replace(whole, offset=offset, notes=tuple(dict.fromkeys(note for cloud in clouds for note in cloud.notes)))
 
 
 def write_gltf(path: Path, cloud: SplatCloud) -> None:

@@ -58,7 +58,7 @@ def read_ksplat(path: Path, drop_invalid: bool) -> Reading:
         major, minor, allowed, _, _, announced, level = struct.unpack_from("<BB2xIIIIH", head, 0)
         if major != 0 or minor < 1 or level > 2:
             raise InputError(
-                f"{path} is no .ksplat file of version 0.1 and level 0 to 2 (it says {major}.{minor}, level {level}); "
+                f"'{path}' is no .ksplat file of version 0.1 and level 0 to 2 (says {major}.{minor}, level {level}); "
                 "choose another file, or turn it into a .ply."
             )
         if allowed > _MAX_SECTIONS or _HEADER + allowed * _SECTION > size:
@@ -69,7 +69,7 @@ def read_ksplat(path: Path, drop_invalid: bool) -> Reading:
         if count != announced:
             raise damaged(path, f"its header announces {announced:,} splats, its sections {count:,}")
         if count == 0:
-            raise InputError(f"{path} has no splats; export it again.")
+            raise InputError(f"'{path}' has no splats; export it again.")
         degree = max(section.degree for section in sections)
         cloud = empty_splats(count, degree)
         valid = np.empty(count, bool)

@@ -76,10 +76,10 @@ def finish(path: Path, cloud: SplatCloud, valid: NDArray[np.bool_], drop_invalid
     total = cloud.count
     bad = total - int(np.count_nonzero(valid))
     if bad == total:
-        raise InputError(f"{path}: all {bad} splats have {_INVALID}; export it again.")
+        raise InputError(f"'{path}': all {bad} splats have {_INVALID}; export it again.")
     if bad and not drop_invalid:
         raise InputError(
-            f"{path}: {bad} of {total} splats have {_INVALID}; read it with Drop Invalid Splats to leave them out.",
+            f"'{path}': {bad} of {total} splats have {_INVALID}; read it with Drop Invalid Splats to leave them out.",
             terminal="drop_invalid=True, --drop-invalid",
         )
     if not bad:
@@ -106,17 +106,17 @@ def opened(path: Path) -> Iterator[tuple[BinaryIO, int]]:
         with path.open("rb") as file:
             yield file, os.fstat(file.fileno()).st_size
     except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror or error}); check the path.") from error
+        raise InputError(f"'{path}' cannot be read ({error.strerror or error}); check the path.") from error
 
 
 def damaged(path: Path, what: str) -> InputError:
     """The error for a file that is not what its format says; `what` stands in brackets."""
-    return InputError(f"{path} is damaged ({what}); copy or export it again.")
+    return InputError(f"'{path}' is damaged ({what}); copy or export it again.")
 
 
 def cut_off(path: Path, what: str) -> InputError:
     """The error for a file that ends too early."""
-    return InputError(f"{path} is cut off ({what}); copy or export it again.")
+    return InputError(f"'{path}' is cut off ({what}); copy or export it again.")
 
 
 def check_count(path: Path, count: int, degree: int, size: int) -> None:
@@ -125,11 +125,11 @@ def check_count(path: Path, count: int, degree: int, size: int) -> None:
     A small file can unpack to any size; what is decoded stays below FREE_BYTES + EXPANSION * size.
     """
     if count == 0:
-        raise InputError(f"{path} has no splats; export it again.")
+        raise InputError(f"'{path}' has no splats; export it again.")
     decoded = count * 4 * (11 + 3 * (degree + 1) ** 2)
     if decoded > FREE_BYTES + EXPANSION * size:
         raise InputError(
-            f"{path} announces {count:,} splats ({decoded >> 20:,} MB) in {size:,} bytes, "
+            f"'{path}' announces {count:,} splats ({decoded >> 20:,} MB) in {size:,} bytes, "
             f"over {EXPANSION} times its size; it is damaged or made to fill the memory, export it again as .ply."
         )
 

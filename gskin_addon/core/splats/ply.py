@@ -24,6 +24,7 @@ from .loaded import LoadedSplats, Reading, finish, opened
 from .ply_compressed import is_compressed, read_compressed
 from .ply_header import FORMATS, TYPE_NAMES, Element, Header, format_header, read_header
 from .ply_kinds import notes_of
+from .up_said import up_in_comments
 
 _CHUNK = 8192
 """Rows handled at once: small enough that a piece of the file stays in the processor's cache."""
@@ -91,6 +92,8 @@ def _splat_element(header: Header, path: Path) -> tuple[Element, int]:
     # Discs have two scales, balls one; a gap among them is a damaged file.
     last = max((place for place, name in enumerate(codec.SCALES) if name in names), default=2)
     needed = [name for name in codec.REQUIRED if name not in codec.SCALES[last + 1 :]]
+    if names.issuperset(codec.RGB):
+        needed = [name for name in needed if name not in codec.COLOR]
     missing = [name for name in needed if name not in names]
     face = header.element("face")
     is_mesh = face is not None and face.count > 0
@@ -142,6 +145,9 @@ def _read_splats(
     while piece is not None:
         rows = slice(start, start + len(piece))
         columns = {name: np.ascontiguousarray(piece[name]) for name in vertex.properties}
+        for name, colour in zip(codec.COLOR, codec.RGB, strict=True):
+            if name not in columns:
+                columns[name] = codec.decode_color(columns[colour])
         valid[rows] = codec.decode_rows(columns, cloud, rows, rest)
         for table in (extra, stored, doubles):
             for name, column in table.items():
@@ -149,7 +155,8 @@ def _read_splats(
         start += len(piece)
         yield start / vertex.count
         piece = next(source, None)
-    cloud = replace(cloud, extra=extra, stored=stored, notes=notes_of(vertex.properties))
+    said = up_in_comments(header.comments)
+    cloud = replace(cloud, extra=extra, stored=stored, notes=notes_of(vertex.properties), up=said)
     doubles.update({name: stored[name] for name in codec.MEANS if name in stored})
     return recentre(cloud, [doubles.get(name) for name in codec.MEANS], path), valid
 

@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .cloud import MAX_SH_DEGREE, AnyArray, FloatArray, SplatCloud
+from .cloud import MAX_SH_DEGREE, SH_C0, AnyArray, FloatArray, SplatCloud
 
 MEANS = ("x", "y", "z")
 NORMALS = ("nx", "ny", "nz")
 COLOR = ("f_dc_0", "f_dc_1", "f_dc_2")
+RGB = ("red", "green", "blue")
+"""Colours of files without harmonics, in place of COLOR."""
 SCALES = ("scale_0", "scale_1", "scale_2")
 QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
 FILTER = "filter_3D"
@@ -65,6 +67,12 @@ def encode_opacity(opacity: FloatArray) -> FloatArray:
     with np.errstate(divide="ignore"):
         logit = np.log(value) - np.log1p(-value)
     return np.clip(logit, _LOWEST, _HIGHEST).astype(np.float32)
+
+
+def decode_color(raw: AnyArray) -> FloatArray:
+    """The constant harmonic (N,) of colours: whole numbers up to the largest of their type, or 0 to 1."""
+    largest = np.iinfo(raw.dtype).max if raw.dtype.kind in "iu" else 1.0
+    return ((np.ascontiguousarray(raw, dtype=np.float64) / largest - 0.5) / SH_C0).astype(np.float32)
 
 
 def decode_scale(raw: AnyArray) -> FloatArray:

@@ -47,11 +47,12 @@ class Element:
 
 @dataclass(frozen=True)
 class Header:
-    """Format name, elements in file order, and the byte offset of the data."""
+    """Format name, elements in file order, the byte offset of the data, and the texts of the comments."""
 
     format: str
     elements: tuple[Element, ...]
     offset: int
+    comments: tuple[str, ...] = ()
 
     @property
     def order(self) -> str:
@@ -74,12 +75,14 @@ def read_header(file: BinaryIO, path: Path) -> Header:
         raise InputError(f"'{path}' is not a PLY file; choose a Gaussian splat .ply file.")
     format_name = ""
     elements: list[Element] = []
+    comments: list[str] = []
     while True:
         line = file.readline(4096)
         if not line.endswith(b"\n") or file.tell() > _MAX_HEADER:
             raise InputError(f"'{path}' is cut off inside its PLY header; copy or export the file again.")
         words = line.decode("latin-1").split()
         if not words or words[0] in ("comment", "obj_info"):
+            comments.append(" ".join(words[1:]))
             continue
         if words[0] == "end_header":
             break
@@ -94,7 +97,7 @@ def read_header(file: BinaryIO, path: Path) -> Header:
             raise InputError(f"'{path}' has a header line that is not PLY ({text!r}); export the file again.")
     if format_name not in FORMATS:
         raise InputError(f"'{path}' has the PLY format {format_name!r}; use one of {', '.join(FORMATS)}.")
-    return Header(format_name, tuple(elements), file.tell())
+    return Header(format_name, tuple(elements), file.tell(), tuple(comments))
 
 
 def _add_property(elements: list[Element], words: list[str]) -> bool:

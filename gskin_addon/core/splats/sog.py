@@ -111,14 +111,14 @@ def _folder(path: Path) -> _Source:
     try:
         size = sum(entry.stat().st_size for entry in folder.iterdir() if entry.suffix in (".webp", ".json"))
     except OSError as error:
-        raise InputError(f"{path} cannot be read ({error.strerror or error}); check the path.") from error
+        raise InputError(f"'{path}' cannot be read ({error.strerror or error}); check the path.") from error
     return _Source(path, size, read)
 
 
 def _missing(path: Path, name: str) -> InputError:
     if name == META:
-        return InputError(f"{path} has no {META}, so it is no .sog; choose another file.")
-    return InputError(f"{path} lacks '{name}', which its {META} names; export it again, with all of its files.")
+        return InputError(f"'{path}' has no {META}, so it is no .sog; choose another file.")
+    return InputError(f"'{path}' lacks '{name}', which its {META} names; export it again, with all of its files.")
 
 
 def _read(source: _Source, drop_invalid: bool) -> Reading:
@@ -197,7 +197,7 @@ def _read_meta(source: _Source) -> dict[str, Any]:
     if meta.get("version") != 2:
         found = "without a version (1)" if "version" not in meta else f"of version {meta['version']!r:.20}"
         raise InputError(
-            f"{path} is a .sog {found}, and version 2 is read; save it again with SuperSplat or splat-transform."
+            f"'{path}' is a .sog {found}, and version 2 is read; save it again with SuperSplat or splat-transform."
         )
     count = meta.get("count")
     if type(count) is not int or count < 0:

@@ -32,7 +32,7 @@ def read_splat(path: Path, drop_invalid: bool) -> Reading:
         if rest:
             raise cut_off(path, f"{size} bytes are no whole number of splats of {_ROW.itemsize}")
         if count == 0:
-            raise InputError(f"{path} has no splats; export it again.")
+            raise InputError(f"'{path}' has no splats; export it again.")
         cloud = empty_splats(count, 0)
         valid = np.empty(count, bool)
         for rows in pieces(count):
@@ -40,7 +40,7 @@ def read_splat(path: Path, drop_invalid: bool) -> Reading:
             if len(table) < rows.stop - rows.start:
                 raise cut_off(path, "it became shorter while it was read")
             if (table["scales"] < 0.0).any():
-                raise InputError(f"{path} is no .splat file (negative scales); choose another file.")
+                raise InputError(f"'{path}' is no .splat file (negative scales); choose another file.")
             cloud.means[rows] = table["means"]
             cloud.scales[rows] = table["scales"]
             cloud.opacities[rows] = table["rgba"][:, 3] / np.float32(255)

@@ -118,13 +118,13 @@ _GZIP_ERRORS: tuple[type[Exception], ...] = (EOFError, zlib.error, gzip.BadGzipF
 
 def _parse(data: bytes, path: Path) -> _Header:
     if data[:3] == b"ply":
-        raise InputError(f"{path} is a gzipped .ply, not an .spz file; unpack it and import the .ply.")
+        raise InputError(f"'{path}' is a gzipped .ply, not an .spz file; unpack it and import the .ply.")
     if len(data) < 16 or data[:4] != MAGIC:
-        raise InputError(f"{path} is no .spz file (it starts with other bytes); choose another file.")
+        raise InputError(f"'{path}' is no .spz file (it starts with other bytes); choose another file.")
     version, count, degree, bits, _flags, streams = struct.unpack_from("<IIBBBB", data, 4)
     if version not in VERSIONS:
         raise InputError(
-            f"{path} is an .spz file of version {version}, and 1 to 4 are read; save it as version 3 or 4 or as .ply "
+            f"'{path}' is an .spz file of version {version}, and 1 to 4 are read; save it as version 3 or 4 or as .ply "
             "(splat-transform does)."
         )
     if degree > 4 or bits > 30:

@@ -34,12 +34,12 @@ def slotted(armature, other, first: str = "other"):
 
 def two(path, change):
     """A file with 'Hero', which moves the figure, and 'Monster', after change(hero, monster); how it is posed then."""
-    fig.empty()
-    hero, monster = fig.add_rig("Hero"), fig.add_rig("Monster")
+    _, hero = fig.open_base()
+    hero.name = "Hero"
+    monster = fig.add_rig("Monster")
     camera = bpy.data.objects.new("Cam", bpy.data.cameras.new("Cam"))
     bpy.context.scene.collection.objects.link(camera)
     fig.key(camera, "location", {1: (0, -3, 1), 30: (0, -2, 1)}, name="CameraMove")
-    fig.add_splats(hero)
     change(hero, monster)
     fig.save(path)
     return path
@@ -102,9 +102,9 @@ def test_only_own_clips_come_with_a_rig(tmp_path):
 
 
 def test_blenders_own_dialog_exports_no_others_clips_either(tmp_path):
-    fig.empty()
-    hero, monster = fig.add_rig("Hero"), fig.add_rig("Monster")
-    obj = fig.add_splats(hero)
+    obj, hero = fig.open_base()
+    hero.name = "Hero"
+    monster = fig.add_rig("Monster")
     clips(hero, monster)
     for each in bpy.context.scene.objects:
         each.select_set(each in (obj, hero))

@@ -22,8 +22,7 @@ from gskin_addon.session.readiness import checks
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
     with pretend.session(tmp_path, monkeypatch):
-        armature = fig.add_rig()
-        splats = fig.add_splats(armature)
+        splats, armature = fig.open_base()
         yield splats, armature, tmp_path
 
 

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import numpy as np
+from without import output_without
 
 from gskin_addon.core.render.camera import paper_views
 from gskin_addon.core.render.rasterizer import render_cloud
@@ -31,3 +32,21 @@ def test_a_cloud_is_drawn_upright_and_coloured_by_direction() -> None:
         assert np.sign(column - 32) == side
         assert np.allclose(image[row, column] / alpha[row, column], color, atol=0.1)
         assert image.dtype == alpha.dtype == np.float32
+
+
+def test_without_numba_numpy_draws_the_same_picture() -> None:
+    code = """
+import numpy as np
+from gskin_addon.core.render.camera import look_at
+from gskin_addon.core.render.rasterizer import render_cloud
+from gskin_addon.core.splats.cloud import SplatCloud
+rng = np.random.default_rng(0)
+cloud = SplatCloud(rng.normal(0, 0.4, (50, 3)), np.tile([1.0, 0, 0, 0], (50, 1)), np.full((50, 3), 0.1),
+                   np.full(50, 0.7), rng.normal(0, 0.5, (50, 4, 3)))
+image, alpha = render_cloud(cloud, look_at((0, -3, 0), (0, 0, 0), size=24), (0.2, 0.4, 0.6))
+print(",".join(f"{value:.5f}" for value in np.append(image, alpha)))
+"""
+    plain, compiled = (
+        np.array(output_without(modules, code).split(","), float) for modules in (("numba",), ("no_such_module",))
+    )
+    np.testing.assert_allclose(plain, compiled, atol=2e-5)

@@ -213,3 +213,27 @@ def test_more_than_five_million_splats(tmp_path):
     for rows in (slice(0, 1000), slice(count - 1001, count - 1)):
         assert_same(cloud.select(rows), expected)
     assert (cloud.means[-1] == expected.means[0]).all()
+
+
+@pytest.mark.parametrize("kind", ["u1", "u2", "f4"])
+@pytest.mark.parametrize("text", [False, True])
+def test_colours_in_place_of_harmonics(tmp_path, kind, text):
+    """As some programs write splats without view-dependent colour."""
+    rng = np.random.default_rng(0)
+    rgb = rng.uniform(0.0, 1.0, (40, 3))
+    largest = 1.0 if kind == "f4" else float(np.iinfo(kind).max)
+    columns = {name: values for name, values in clouds.raw_columns(40, 0).items() if not name.startswith("f_dc")}
+    for axis, name in enumerate(("red", "green", "blue")):
+        columns[name] = (rgb[:, axis] * largest).astype(kind)
+    cloud = read_ply(clouds.write_columns(tmp_path / "a.ply", columns, text=text)).cloud
+    np.testing.assert_allclose(cloud.base_colors(), rgb, atol=1 / 255)
+    assert cloud.sh_degree == 0
+
+
+def test_colours_do_not_count_where_there_are_harmonics(tmp_path):
+    columns = clouds.raw_columns(10, 0)
+    for name in ("red", "green", "blue"):
+        columns[name] = np.zeros(10, np.uint8)
+    cloud = read_ply(clouds.write_columns(tmp_path / "a.ply", columns)).cloud
+    np.testing.assert_array_equal(cloud.sh[:, 0, 0], columns["f_dc_0"])
+    assert set(cloud.extra) >= {"red", "green", "blue"}

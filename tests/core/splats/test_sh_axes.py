@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,9 +14,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from gskin_addon.core.errors import InputError
-from gskin_addon.core.splats.axes import rotate_cloud, rotation_quat, turn_quats, up_rotation
+from gskin_addon.core.splats.axes import UP_AXES, rotate_cloud, rotate_in_place, rotation_quat, turn_quats, up_rotation
 from gskin_addon.core.splats.ply import read_ply
 from gskin_addon.core.splats.sh import eval_sh, rotate_sh, sh_basis
+from gskin_addon.core.ticks import run_to_end
 
 
 def random_dirs(count: int, seed: int = 0) -> np.ndarray:
@@ -129,3 +131,17 @@ def test_biker_stands_on_its_rig():
     for bone in rig.values():
         middle = R @ (np.add(bone["head"], bone["tail"]) / 2.0)
         assert np.linalg.norm(cloud.means - middle, axis=1).min() < 0.15
+
+
+@pytest.mark.parametrize("up", UP_AXES)
+def test_turning_in_place_is_turning(up):
+    """Piece by piece, the normals and the way back of far splats too."""
+    cloud = clouds.random_cloud(40_000, 2)
+    normals = {name: np.random.default_rng(k).normal(size=40_000) for k, name in enumerate(("nx", "ny", "nz"))}
+    cloud = replace(cloud, extra=normals, offset=np.array([1000.0, 0.0, 5.0]), up=up)
+    wanted = rotate_cloud(cloud, up_rotation(up))
+    found = run_to_end(rotate_in_place(cloud, up_rotation(up)))
+    for name in ("means", "quats", "sh", "offset", "up"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name))
+    for name in normals:
+        np.testing.assert_array_equal(found.extra[name], wanted.extra[name])
