@@ -79,7 +79,7 @@ def run(options: argparse.Namespace) -> None:
     armature = rig_files.import_armature(options.armature, options.armature_name)
     skeleton = read_skeleton(armature)
     if options.up is None:
-        up, assumed = default_up(cloud, skeleton)
+        up, assumed = default_up(cloud, skeleton, options.splats)
     else:
         up, assumed = resolve_up(options.up, cloud, skeleton, options.splats)
     if assumed:
