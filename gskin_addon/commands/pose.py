@@ -44,7 +44,8 @@ def run(options: argparse.Namespace) -> None:
             from ..scene.gltf_export import export_glb
 
             still = options.rotate or options.set or options.action or options.frame is not None
-            export_glb(options.out, [obj], posed=bool(still))
+            for sentence in export_glb(options.out, [obj], posed=bool(still)):
+                print_message(f"Warning: {sentence}")
             say_left_out(options.out, as_in_file(obj, read_cloud(obj), GLTF_UP))
     if kind == ".blend":
         rig_files.save_blend(options.out)
@@ -81,7 +82,8 @@ def posed(options: argparse.Namespace) -> Iterator[bpy.types.Object]:
         name = armature.library.filepath
         armature = own_rig(armature)
         print_message(f"Armature '{armature.name}' was linked from '{name}'; it is the file's own now.")
-    with shown([obj, proxy_of(obj), armature], select=True):
+    drawn = getattr(options, "engine", "") == "cycles"
+    with shown([obj], render=drawn), shown([obj, proxy_of(obj), armature], select=True):
         if armature is not None:
             for note in pose_still(obj, armature, wanted):
                 print_message(f"{note[:1].upper()}{note[1:]}.")

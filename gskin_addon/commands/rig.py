@@ -69,6 +69,7 @@ def run(options: argparse.Namespace) -> None:
     require_bpy()
     from ..scene import names, rig_files
     from ..scene.armature import read_skeleton
+    from ..scene.dependencies import needed_objects, unheard_drivers
     from ..scene.placement import bring_rig, fits_in_file
     from ..scene.proxy_object import create_mesh_object
     from ..scene.splat_object import create_splat_object
@@ -77,6 +78,8 @@ def run(options: argparse.Namespace) -> None:
 
     rig_files.empty_scene()
     armature = rig_files.import_armature(options.armature, options.armature_name)
+    for path in unheard_drivers(needed_objects(armature)):
+        print_message(f"The driver of {path} needs Python, which no file may run here; its value stays as it is.")
     skeleton = read_skeleton(armature)
     if options.up is None:
         up, assumed = default_up(cloud, skeleton, options.splats)

@@ -24,7 +24,8 @@ def save_rigged(out: Path, obj: bpy.types.Object) -> None:
     if out.suffix.lower() == ".glb":
         from ..scene.gltf_export import export_glb
 
-        export_glb(out, [obj])
+        for sentence in export_glb(out, [obj]):
+            print_message(f"Warning: {sentence}")
         say_left_out(out, as_in_file(obj, read_cloud(obj), GLTF_UP))
     else:
         rig_files.save_blend(out)

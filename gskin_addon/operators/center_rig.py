@@ -4,9 +4,8 @@
 from __future__ import annotations
 
 import bpy
-from mathutils import Vector
 
-from ..scene.rig_fit import rest_skeleton, sample_splats, step_to_fit, to_world, topmost
+from ..scene.rig_fit import move_rig, rest_skeleton, sample_splats, step_to_fit, to_world
 from ..session.chosen import chosen_armature, chosen_splats
 from ._rig_and_splats import can_move_rig
 
@@ -26,9 +25,7 @@ class GSKIN_OT_center_rig(bpy.types.Operator):
         splats, armature = chosen_splats(context), chosen_armature(context)
         context.view_layer.update()
         step = step_to_fit(to_world(sample_splats(splats).points, splats), rest_skeleton(armature))
-        top = topmost(armature)
-        top.location = top.location + Vector(step.tolist())
-        context.view_layer.update()
+        top = move_rig(armature, step)
         self.report({"INFO"}, f"'{top.name}' was moved into '{splats.name}'")
         return {"FINISHED"}
 

@@ -51,13 +51,15 @@ class GSKIN_OT_export_glb(bpy.types.Operator, ExportHelper):
     def execute(self, context: bpy.types.Context) -> set[str]:
         splats = chosen_splats(context)
         try:
-            export_glb(
+            lost = export_glb(
                 self.filepath, [splats], deform_bones_only=self.deform_bones_only, animations=self.animations
             )
         except GSkinError as error:
             self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
         self.report({"INFO"}, f"'{splats.name}' and '{armature_of(splats).name}' were exported")
+        for sentence in lost:
+            self.report({"WARNING"}, sentence)
         return {"FINISHED"}
 
 

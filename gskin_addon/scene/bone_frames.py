@@ -49,7 +49,7 @@ def find_bone_frames(armature: bpy.types.Object) -> bpy.types.Object | None:
     for obj in bpy.data.objects:
         if not is_bone_frames(obj) or armature_of(obj) != armature or obj.library is not None:
             continue
-        if bone_order(obj) == bones and obj.get(names.FRAMES_LAYOUT) == layout_of(armature):
+        if bone_order(obj) == bones and not is_outdated(obj, armature):
             return obj
     return None
 
@@ -68,6 +68,11 @@ def layout_of(armature: bpy.types.Object) -> str:
 def is_bone_frames(obj: bpy.types.Object | None) -> bool:
     """Whether `obj` is such a helper, which is no object of the artist's."""
     return obj is not None and obj.type == "MESH" and obj.get(names.FRAMES_MARK) is not None
+
+
+def is_outdated(frames: bpy.types.Object, armature: bpy.types.Object) -> bool:
+    """Whether the helper was made for other bendy bones or envelopes than the armature has."""
+    return frames.get(names.FRAMES_LAYOUT) != layout_of(armature)
 
 
 def has_joints(frames: bpy.types.Object) -> bool:

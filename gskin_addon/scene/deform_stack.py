@@ -40,6 +40,15 @@ def beyond_linear_blending(obj: bpy.types.Object) -> list[str]:
 
     Bendy, scaled and mirrored bones are no reason.
     """
+    volume = [f"'{m.name}' preserves volume" for m in deforming_modifiers(obj) if _preserves_volume(m)]
+    return volume + not_in_the_viewport(obj)
+
+
+def not_in_the_viewport(obj: bpy.types.Object) -> list[str]:
+    """Of these reasons, those that the rotation nodes know nothing of: there splats go with them, but turn without.
+
+    What is blended as rotations (Preserve Volume) turns splats by Eq. 3, as the nodes do.
+    """
     found = []
     stack = deforming_modifiers(obj)
     for modifier in stack:
@@ -48,8 +57,6 @@ def beyond_linear_blending(obj: bpy.types.Object) -> list[str]:
             continue
         if modifier.object is None:
             continue
-        if modifier.use_deform_preserve_volume:
-            found.append(f"'{modifier.name}' preserves volume")
         if modifier.use_bone_envelopes:
             found.append(f"'{modifier.name}' uses bone envelopes")
         if not modifier.use_vertex_groups:
@@ -66,6 +73,36 @@ def beyond_linear_blending(obj: bpy.types.Object) -> list[str]:
     if sum(modifier.type == "ARMATURE" and modifier.object is not None for modifier in stack) > 1:
         found.append("more than one armature moves them")
     return found
+
+
+def bendy_bones(obj: bpy.types.Object) -> list[str]:
+    """Names of the bones with segments that move the splats by a vertex group."""
+    groups = {group.name for group in obj.vertex_groups}
+    armatures = [modifier.object for modifier in deforming_modifiers(obj) if modifier.type == "ARMATURE"]
+    bones = [bone for armature in armatures if armature is not None for bone in armature.data.bones]
+    return [bone.name for bone in bones if bone.use_deform and bone.bbone_segments > 1 and bone.name in groups]
+
+
+def lost_in_gltf(obj: bpy.types.Object) -> list[str]:
+    """Sentences about what moves the splats here, and has no word in glTF."""
+    found = []
+    bendy = bendy_bones(obj)
+    if bendy:
+        named = ", ".join(f"'{name}'" for name in bendy[:3]) + (", ..." if len(bendy) > 3 else "")
+        found.append(
+            f"glTF has no bendy bones: {len(bendy)} that move '{obj.name}' ({named}) are without segments in it, and "
+            "what bends along them is straight."
+        )
+    reasons = beyond_linear_blending(obj)
+    if reasons:
+        found.append(
+            f"glTF blends bones linearly by vertex groups; of '{obj.name}' it does not show that {'; '.join(reasons)}."
+        )
+    return found
+
+
+def _preserves_volume(modifier: Any) -> bool:
+    return bool(modifier.type == "ARMATURE" and modifier.object and modifier.use_deform_preserve_volume)
 
 
 def measured_deform(obj: bpy.types.Object) -> tuple[Array, Array]:

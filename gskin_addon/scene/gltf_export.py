@@ -24,6 +24,7 @@ from ..core.splats import gltf
 from ..core.splats.axes import rotate_cloud
 from ..core.splats.cloud import SplatCloud
 from .bone_frames import armature_of
+from .deform_stack import lost_in_gltf
 from .fabric import bring_fabrics_back, lay_fabrics_aside
 from .gltf_clips import clips_of, keep_own, play_companions
 from .splat_object import is_splat_object, read_cloud
@@ -103,6 +104,8 @@ class SplatExport:
             if export_settings["gltf_yup"]:
                 cloud = rotate_cloud(cloud, gltf.blender_to_gltf())
             _add_splats(gltf2_mesh, cloud)
+            for sentence in lost_in_gltf(self._object):
+                export_settings["log"].warning(sentence)
         except GSkinError as error:
             export_settings["log"].error(error.plain, popup=True)
             _failures.append(error)
@@ -119,8 +122,10 @@ def export_glb(
     deform_bones_only: bool = False,
     animations: bool = True,
     posed: bool = False,
-) -> None:
+) -> list[str]:
     """Export splat objects, with the armatures they follow and their actions, as one .glb.
+
+    Gives sentences about what is lost in it: what glTF has no word for.
 
     Further objects in `objects` are exported as Blender does. The file appears at `path` when it is complete.
     posed: the joints stand as the bones do now, and not at rest, also where there are clips.
@@ -175,6 +180,7 @@ def export_glb(
         # The exporter moves to frame 0 and stays there when it fails.
         if bpy.context.scene.frame_current != frame:
             bpy.context.scene.frame_set(frame)
+    return [sentence for obj in objects if is_splat_object(obj) for sentence in lost_in_gltf(obj)]
 
 
 def _seen(objects: Sequence[bpy.types.Object]) -> Sequence[bpy.types.Object]:

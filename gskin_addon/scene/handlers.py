@@ -2,7 +2,7 @@
 """What follows an artist's edits by itself; never needed for posing, playback or rendering.
 
 After Weight Paint the rotation nodes get the painted weights, in slices while Blender goes on; a copy of splats
-together with their armature is turned by its own armature.
+together with their armature is turned by its own armature; segments given to bones get their frames.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..core.errors import GSkinError
-from .bone_frames import armature_of
+from .bone_frames import armature_of, is_outdated
 from .object_ref import object_by_uid
 from .rotation_nodes import frames_of
 from .splat_object import is_splat_object
@@ -44,6 +44,8 @@ def follow_edits(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None
     try:
         painting = bpy.context.mode == "PAINT_WEIGHT"
         for update in depsgraph.updates:
+            if isinstance(update.id, bpy.types.Armature):
+                _changed.update(_outdated_by(update.id.original))
             if not isinstance(update.id, bpy.types.Object):
                 continue
             obj = update.id.original
@@ -138,6 +140,18 @@ def _go_on() -> float | None:
 def _repair(obj: bpy.types.Object) -> None:
     if not repoint_frames(obj):
         _changed.add(obj.session_uid)
+
+
+def _outdated_by(armature: bpy.types.Armature) -> list[int]:
+    """Splats whose bone frames were made for other segments of their bones, by session id."""
+    found = []
+    for obj in bpy.data.objects:
+        rig = armature_of(obj) if is_splat_object(obj) and obj.library is None else None
+        if rig is not None and rig.data == armature and rig.mode != "EDIT":
+            frames = frames_of(obj)
+            if frames is not None and any(b.use_deform for b in armature.bones) and is_outdated(frames, rig):
+                found.append(obj.session_uid)
+    return found
 
 
 def _followed(uid: int) -> bpy.types.Object | None:

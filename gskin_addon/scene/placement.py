@@ -23,7 +23,7 @@ from ..core.splats.cloud import SplatCloud
 from . import names
 from .anchored import proxy_of
 from .bone_frames import armature_of
-from .rig_fit import topmost
+from .rig_fit import move_rig
 from .splat_object import read_cloud, replace_cloud
 
 _OPAQUE = 0.3
@@ -88,10 +88,8 @@ def as_in_file(obj: bpy.types.Object, cloud: SplatCloud, up: str = "") -> SplatC
 
 
 def bring_rig(armature: bpy.types.Object, step: NDArray[np.float64]) -> None:
-    """Move an armature, or what carries it, by `step` (3,)."""
-    top = topmost(armature)
-    top.location = (np.array(top.location, dtype=np.float64) + step).tolist()
-    bpy.context.view_layer.update()
+    """Move an armature, or what carries it, by `step` (3,), with what moves its bones."""
+    move_rig(armature, step)
 
 
 def up_of(obj: bpy.types.Object) -> str:

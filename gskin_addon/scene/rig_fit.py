@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import bpy
+import mathutils
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +17,7 @@ from ..core.splats.cleanup import find_strays
 from ..core.splats.cloud import SplatCloud
 from . import names
 from .attributes import ObjectData, read_attribute, read_positions
+from .dependencies import is_animated, needed_objects
 
 Array = NDArray[Any]
 
@@ -92,13 +94,46 @@ def guess_rig_scale(points: Array, armature: bpy.types.Object) -> ScaleGuess:
 
 
 def scale_rig(armature: bpy.types.Object, factor: float, *, about_world: bool = False) -> bpy.types.Object:
-    """Scale an armature object, or what carries it, which is given; `about_world` moves it along."""
+    """Scale an armature object, or what carries it, which is given, with what moves its bones.
+
+    About its own origin, or with `about_world` about the world's.
+    """
     top = topmost(armature)
-    top.scale = top.scale * factor
-    if about_world:
-        top.location = top.location * factor
+    pivot = mathutils.Vector() if about_world else top.location.copy()
+    for obj in (top, *_companions(armature)):
+        obj.scale = obj.scale * factor
+        obj.location = pivot + (obj.location - pivot) * factor
     bpy.context.view_layer.update()
     return top
+
+
+def move_rig(armature: bpy.types.Object, step: Array) -> bpy.types.Object:
+    """Move an armature object, or what carries it, which is given, by `step` (3,); what moves its bones goes along."""
+    top = topmost(armature)
+    for obj in (top, *_companions(armature)):
+        obj.location = obj.location + mathutils.Vector([float(value) for value in step])
+    bpy.context.view_layer.update()
+    return top
+
+
+def _companions(armature: bpy.types.Object) -> list[bpy.types.Object]:
+    """What else must be moved with a rig: targets and the like, or where they are animated an empty around them.
+
+    Objects with constraints of their own go where these put them.
+    """
+    top = topmost(armature)
+    found = []
+    for obj in dict.fromkeys(topmost(needed) for needed in needed_objects(armature)):
+        if obj == top or len(obj.constraints):
+            continue
+        if is_animated([obj]):
+            frame = bpy.data.objects.new(f"{obj.name} Frame", None)
+            for collection in obj.users_collection:
+                collection.objects.link(frame)
+            obj.parent, obj.matrix_parent_inverse = frame, mathutils.Matrix()
+            obj = frame
+        found.append(obj)
+    return found
 
 
 def step_to_fit(points: Array, skeleton: Skeleton) -> Array:

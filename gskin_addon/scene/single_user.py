@@ -5,10 +5,16 @@ from __future__ import annotations
 
 import bpy
 
+from .bone_frames import armature_of
+
 
 def sharers(obj: bpy.types.Object) -> list[str]:
-    """Names of the other objects that have the object's mesh."""
-    return [other.name for other in bpy.data.objects if other != obj and other.data == obj.data]
+    """Names of the other objects that have the object's mesh and follow an armature, by its weights."""
+    return [
+        other.name
+        for other in bpy.data.objects
+        if other != obj and other.data == obj.data and armature_of(other) is not None
+    ]
 
 
 def own_mesh(obj: bpy.types.Object) -> list[str]:

@@ -117,6 +117,8 @@ def replace_cloud(obj: bpy.types.Object, cloud: SplatCloud) -> None:
         )
     mesh: ObjectData = obj.data
     run_to_end(_column_steps(mesh, cloud))
+    if names.REST in mesh.attributes:
+        write_attribute(mesh, names.REST, "FLOAT_VECTOR", cloud.means)
 
 
 def refuse_edit_mode(obj: bpy.types.Object) -> None:

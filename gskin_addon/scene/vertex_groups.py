@@ -77,7 +77,9 @@ class GroupsAside:
         return self._target.find()
 
     def commit(self) -> bpy.types.Object:
-        """Give the object the new groups, and where others share its mesh a mesh of its own; gives the object.
+        """Give the object the new groups, and all that share its mesh, or a mesh of its own where it moves others.
+
+        Gives the object.
 
         Raises InputError as `check` does; nothing is written then.
         """

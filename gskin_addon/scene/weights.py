@@ -21,7 +21,7 @@ from . import names
 from .armature import deform_bone_names
 from .attributes import write_attribute
 from .binding import bind, check_splats, set_parent
-from .bone_frames import armature_modifier, armature_of, bone_order, ensure_bone_frames
+from .bone_frames import armature_modifier, armature_of, bone_order, ensure_bone_frames, is_outdated
 from .compared import drop_kept, keep
 from .influences import columns_of, slice_rows, strongest, write_influences
 from .object_ref import ObjectRef, object_by_uid
@@ -268,7 +268,8 @@ def follows_foreign_frames(obj: bpy.types.Object) -> bool:
 def repoint_frames(obj: bpy.types.Object) -> bool:
     """Let the armature that moves the splats turn them too, if the stored bones mean the same there; True if so."""
     armature, frames = armature_of(obj), frames_of(obj)
-    if bone_order(frames) != deform_bone_names(armature):
+    # Layouts with joints of bendy bones may differ where names do not.
+    if bone_order(frames) != deform_bone_names(armature) or is_outdated(frames, armature):
         return False
     add_rotation(obj, ensure_bone_frames(armature), armature_modifier(obj))
     return True

@@ -13,6 +13,7 @@ from ..core.errors import InputError
 from ..core.job.checks import APART, SOUND, better_axis, check_overlap, overlap
 from ..core.rig.rig_scale import ABSURD
 from ..core.rig.skeleton import Skeleton
+from ..scene.deform_stack import not_in_the_viewport
 from ..scene.follow_transforms import warning_of
 from ..scene.native_nodes import POSITION_STEPS
 from ..scene.node_groups import draws_native
@@ -67,7 +68,7 @@ def checks(context: bpy.types.Context) -> list[Check]:
         found += [_mode_check(splats, armature), _scale_check(splats, armature), *_transform_checks(splats)]
         if all(check.state == "ok" for check in found):
             found += _fit_checks(splats, armature)
-        found += [_owner_check(splats, armature)]
+        found += [_owner_check(splats, armature), *_deform_checks(splats)]
     found.append(_python_check(context))
     return found
 
@@ -116,7 +117,10 @@ def _splats_check(context: bpy.types.Context, splats: bpy.types.Object | None) -
 
 def _armature_check(context: bpy.types.Context, armature: bpy.types.Object | None) -> Check:
     if armature is None:
-        return Check("Armature", "stop", _instanced(context) or "No armature is chosen: add one, or select it")
+        instanced = _instanced(context)
+        if instanced:
+            return Check("Armature", "stop", instanced)
+        return Check("Armature", "stop", "No armature is chosen: add one, or select it")
     if not any(bone.use_deform for bone in armature.data.bones):
         sentence = f"Armature '{armature.name}' has no deform bones: turn on Deform for some"
         if not armature.data.bones or armature.mode == "EDIT":
@@ -171,6 +175,14 @@ def _scale_check(splats: bpy.types.Object, armature: bpy.types.Object) -> Check:
 def _transform_checks(splats: bpy.types.Object) -> list[Check]:
     warning = warning_of(splats)
     return [Check("Applied Transform", "warn", warning)] if warning else []
+
+
+def _deform_checks(splats: bpy.types.Object) -> list[Check]:
+    reasons = not_in_the_viewport(splats)
+    if not reasons:
+        return []
+    sentence = f"The viewport turns splats by vertex groups alone, but {reasons[0]}; gskin pose and render follow"
+    return [Check("Deformation", "warn", sentence)]
 
 
 def _fit_checks(splats: bpy.types.Object, armature: bpy.types.Object) -> list[Check]:

@@ -31,7 +31,7 @@ from gskin_addon.scene.node_groups import (
     set_display,
 )
 from gskin_addon.scene.octahedra import ensure_octahedra, octahedra_count
-from gskin_addon.scene.render import prepare_scene, render_still
+from gskin_addon.scene.render import clear_flecks, has_flecks, prepare_scene, render_still
 from gskin_addon.scene.splat_object import create_splat_object as create_as_shown_first
 from gskin_addon.scene.weights import write_weights
 
@@ -210,6 +210,20 @@ def test_raised_bounces_never_fall():
     scene.cycles.transparent_max_bounces = 500
     prepare_scene(scene)
     assert scene.cycles.transparent_max_bounces == 500
+
+
+def test_flecks_are_cleared_where_cycles_renders_and_never_brought_back():
+    scene = bpy.context.scene
+    scene.render.engine = "BLENDER_WORKBENCH"
+    assert not has_flecks(scene)
+    scene.render.engine = "CYCLES"
+    assert has_flecks(scene)
+    clear_flecks(scene)
+    assert scene.cycles.min_transparent_bounces == 64
+    assert not has_flecks(scene)
+    scene.cycles.min_transparent_bounces = 100
+    clear_flecks(scene)
+    assert scene.cycles.min_transparent_bounces == 100
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 
 import bpy
@@ -11,10 +12,11 @@ import pytest
 from finite_differences import apart, covariances, shown, truth
 
 from gskin_addon.core.splats.cloud import SplatCloud
+from gskin_addon.scene import handlers
 from gskin_addon.scene.armature import read_skeleton
-from gskin_addon.scene.deform_stack import beyond_linear_blending
+from gskin_addon.scene.deform_stack import beyond_linear_blending, lost_in_gltf, not_in_the_viewport
 from gskin_addon.scene.posing import posed_cloud, turn_bones
-from gskin_addon.scene.splat_object import create_splat_object, read_cloud
+from gskin_addon.scene.splat_object import create_splat_object, read_cloud, replace_cloud
 from gskin_addon.scene.weights import update_rotation_weights, write_weights
 
 SPLATS = 400
@@ -215,6 +217,29 @@ def test_segments_given_later_are_taken_over(rig):
     assert truth(obj).turn_error(shown(obj).turn).max() < 1
 
 
+def test_segments_are_noticed_where_the_add_on_looks_at_edits(rig):
+    obj, armature = rig
+    bind(obj, armature)
+    bpy.app.handlers.depsgraph_update_post.append(handlers.follow_edits)
+    try:
+        segments(armature, 6)
+        bpy.context.view_layer.update()
+    finally:
+        bpy.app.handlers.depsgraph_update_post.remove(handlers.follow_edits)
+    bend(armature)
+    assert truth(obj).turn_error(shown(obj).turn).max() < 1
+
+
+def test_splats_replaced_under_bendy_bones_keep_their_place_along_them(rig):
+    obj, armature = rig
+    segments(armature, 6)
+    bind(obj, armature)
+    cloud = read_cloud(obj, world=False)
+    replace_cloud(obj, dataclasses.replace(cloud, means=cloud.means + np.float32([0.06, 0, 0])))
+    bend(armature)
+    assert truth(obj).turn_error(shown(obj).turn).max() < 1
+
+
 def preserve_volume(obj, armature, modifier) -> None:
     modifier.use_deform_preserve_volume = True
 
@@ -276,6 +301,23 @@ def test_posed_splats_follow_what_else_the_modifiers_do(rig, change):
     # Envelopes end with an edge, across which differences depend on their step.
     assert np.percentile(error, 95) < 0.02
     assert [o.name for o in bpy.data.objects if o.name.startswith("Splats")] == ["Splats"]
+
+
+def test_what_gltf_has_no_word_for_is_said(rig):
+    obj, armature = rig
+    bind(obj, armature)
+    assert lost_in_gltf(obj) == []
+    segments(armature, 4)
+    preserve_volume(obj, armature, obj.modifiers["Armature"])
+    bendy, volume = lost_in_gltf(obj)
+    assert bendy == (
+        "glTF has no bendy bones: 2 that move 'Splats' ('b1', 'b2') are without segments in it, and what bends along "
+        "them is straight."
+    )
+    assert "'Armature' preserves volume" in volume
+    assert not_in_the_viewport(obj) == []
+    envelopes(obj, armature, obj.modifiers["Armature"])
+    assert not_in_the_viewport(obj)[0] == "'Armature' uses bone envelopes"
 
 
 def test_mirrored_harmonics(rig):

@@ -64,6 +64,7 @@ SUFFIXES = tuple(suffix for form in FORMATS.values() for suffix in form.suffixes
 FILE_TYPES = tuple(dict.fromkeys(f".{suffix.rpartition('.')[2]}" for suffix in SUFFIXES))
 """What file browsers and handlers of dropped files look at: the part after the last dot."""
 
+
 def read_splats(path: Path, *, drop_invalid: bool = False) -> LoadedSplats:
     """Read a file of any known format, recognised by its first bytes, else by its name.
 
@@ -139,10 +140,12 @@ def find_format(path: Path) -> SplatFormat:
     what = REMEDIES.get(path.suffix.lower())
     if what is not None and start.startswith((ZIP, GZIP)):
         raise InputError(f"'{path}' is {what}.")  # others also have zips and gzip streams
+    named = named_format(path)
+    if named is not None and not named.magics and start.startswith(GZIP):
+        return named  # a coordinate may begin with these two bytes
     for form in FORMATS.values():
         if start.startswith(form.magics):
             return form
-    named = named_format(path)
     if named is not None:
         if not path.is_file():
             raise InputError(f"'{path}' does not exist; check the path of the splats.")

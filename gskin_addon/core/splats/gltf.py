@@ -26,10 +26,10 @@ EXTENSION: Mapping[str, str] = {
 
 SKINNING_EXTRAS_NAME = "GSKIN_splat_skinning"
 SKINNING_EXTRAS: Mapping[str, Any] = {
-    "version": 1,
+    "version": 2,
     "rotation": "weightedQuaternionSum",
     "signs": "strongestJoint",
-    "scale": "constant",
+    "scale": "localMap",
     "sphericalHarmonics": "rotateWithSplat",
 }
 """In the primitive's extras: how the splats turn with the skin; `docs/gltf.md` defines each value."""

@@ -12,8 +12,9 @@ from .drawing import Target
 from .shaders import composite_shader, gpu_state, square
 from .textures import image_texture
 
-OPAQUE = 0.9
-"""Alpha of the overlay from which on its pixels count as drawn in front."""
+THIN, OPAQUE = 0.75, 0.9
+"""Alpha of the overlay from which on its pixels count as drawn in front, a little and wholly: lines have soft edges,
+the floor's grid is fainter."""
 
 
 def view_depths() -> NDArray[np.float32] | None:
@@ -29,12 +30,12 @@ def view_depths() -> NDArray[np.float32] | None:
 
 
 def overlay_in_front() -> NDArray[np.float32]:
-    """1 (H, W) where Blender's overlay has something opaque in front of all, as bones with In Front; else 0."""
+    """How much (H, W), 0 to 1, Blender's overlay stays before all, as bones with In Front do."""
     x, y, width, height = gpu_state.viewport_get()
     buffer = gpu_state.active_framebuffer_get().read_color(x, y, width, height, 4, 0, "FLOAT")
     buffer.dimensions = width * height * 4
     alpha = np.array(buffer, np.float32).reshape(height, width, 4)[..., 3]
-    return (alpha >= OPAQUE).astype(np.float32)
+    return np.where(alpha < THIN, np.float32(0.0), np.minimum(alpha / np.float32(OPAQUE), np.float32(1.0)))
 
 
 def lay_over(
@@ -43,8 +44,8 @@ def lay_over(
 ) -> None:  # fmt: skip
     """Draw the target over the view's framebuffer, decoded to linear colours, which Blender encodes again.
 
-    outlined: the texture whose alpha is outlined in `outline` (linear), `reach` pixels wide; overlay: where Blender's
-    overlay stays (H, W).
+    outlined: the texture whose alpha is outlined in `outline` (linear), `reach` pixels wide; overlay: how much of
+    Blender's overlay stays (H, W).
     """
     shader = composite_shader()
     x, y, _, _ = gpu_state.viewport_get()

@@ -120,9 +120,7 @@ float cover(ivec2 at) {
 
 void main() {
   ivec2 at = ivec2(gl_FragCoord.xy) - ivec2(corner_of_view);
-  if (keep_overlay > 0.5 && texelFetch(overlay, at, 0).r > 0.5) {
-    discard;
-  }
+  float kept = keep_overlay > 0.5 ? texelFetch(overlay, at, 0).r : 0.0;
   vec4 c = texelFetch(drawn, at, 0);
   vec3 color = vec3(0.0);
   if (c.a > 0.0) {
@@ -142,7 +140,7 @@ void main() {
       alpha = 1.0;
     }
   }
-  fragColor = vec4(color, alpha);
+  fragColor = vec4(color, alpha) * (1.0 - kept);
 }
 """
 

@@ -125,6 +125,17 @@ def test_it_is_said(scene, monkeypatch):
     assert "mesh of its own" not in running_job.state.outcome
 
 
+def test_twins_that_were_never_bound_end_with_weights_of_their_own(scene):
+    splats, armature, folder = scene
+    twin = linked_duplicate(splats, armature)
+    weights = read_weights(splats)[0]
+    for obj in (twin, splats):
+        choose(obj, armature)
+        auto_skin(folder)
+    assert twin.data != splats.data
+    assert (read_weights(splats)[0] != weights).any()
+
+
 def test_painting_a_shared_mesh_of_one_rig_does_not_part_it(scene):
     splats, armature, _ = scene
     twin = linked_duplicate(splats)

@@ -17,6 +17,7 @@ from glb import Glb
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.worker.client import WorkerClient
 from gskin_addon.scene import rig_files
+from gskin_addon.scene.rig_fit import move_rig, scale_rig
 from gskin_addon.session import skin_job
 from gskin_addon.session.readiness import checks
 
@@ -201,6 +202,18 @@ def test_bones_end_where_they_do_in_their_file(change, tmp_path):
     assert max(np.abs(np.subtract(before[name], tail)).max() for name, _, _, tail in fig.BONES) > 0.01
     # Artists can grasp all of it.
     assert {obj.name for obj in bpy.data.objects} == {obj.name for obj in bpy.context.scene.objects}
+
+
+@pytest.mark.parametrize("change", [ik_with_pole, animated_target, chain_of_armatures], ids=lambda f: f.__name__)
+def test_a_rig_is_moved_and_scaled_with_what_moves_it(change, tmp_path):
+    path, before = source(tmp_path / "rig.blend", change)
+    fig.empty()
+    armature = rig_files.import_armature(path, "Rig")
+    scale_rig(armature, 3.0)
+    move_rig(armature, np.array([1.0, -2.0, 0.5]))
+    bpy.context.scene.frame_set(bpy.context.scene.frame_current)
+    for name, place in tails().items():
+        np.testing.assert_allclose(place, 3 * np.array(before[name]) + [1, -2, 0.5], atol=1e-4, err_msg=name)
 
 
 def test_what_is_kept_beside_the_rig_is_not_rendered(tmp_path):

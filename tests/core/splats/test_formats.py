@@ -32,3 +32,12 @@ def test_what_is_no_splat_file_is_named_with_a_remedy(tmp_path):
     with pytest.raises(InputError, match=r"out\.txt' is no \.ply, .* file; choose another name"):
         write_splats(tmp_path / "out.txt", random_cloud(3, 0))
     assert not (tmp_path / "out.txt").exists()
+
+
+def test_a_coordinate_is_not_taken_for_gzip(tmp_path):
+    """A .splat begins with the first splat's x, which may be any bytes."""
+    cloud = random_cloud(4, 0)
+    cloud.means[0, 0] = np.frombuffer(b"\x1f\x8b\x10\x40", "<f4")[0]
+    write_splats(tmp_path / "a.splat", cloud)
+    assert (tmp_path / "a.splat").read_bytes()[:2] == b"\x1f\x8b"
+    np.testing.assert_array_equal(read_splats(tmp_path / "a.splat").cloud.means, cloud.means)

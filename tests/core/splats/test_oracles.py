@@ -105,7 +105,6 @@ def test_splat_transform_reads_what_we_write(transform, cloud, tmp_path, name):
         ("a.spz", ("--spz-version", "3")),
         ("a.spz", ("--spz-version", "4")),
         ("a.sog", ("-g", "cpu", "-i", "2")),
-        ("meta.json", ("-g", "cpu", "-i", "2")),
         ("a.compressed.ply", ()),
         ("a.ply", ()),
     ],
