@@ -82,7 +82,7 @@ def run(options: argparse.Namespace) -> None:
         print_message(f"The driver of {path} needs Python, which no file may run here; its value stays as it is.")
     skeleton = read_skeleton(armature)
     if options.up is None:
-        up, assumed = default_up(cloud, skeleton)
+        up, assumed = default_up(cloud, skeleton, options.splats)
     else:
         up, assumed = resolve_up(options.up, cloud, skeleton, options.splats)
     if assumed:

@@ -40,17 +40,17 @@ def resolve_up(
         return up, ""
     guess = guess_up_for(cloud, skeleton, path) if skeleton is not None else _of_capture(cloud, path)
     if not guess.sure and cloud.up:
-        guess = UpGuess(cloud.up, "as the file says", 1.0)
+        guess = UpGuess(cloud.up, _who_says(path), 1.0)
     return guess.axis, f"assumed {guess.sentence}"
 
 
-def default_up(cloud: SplatCloud, skeleton: Skeleton) -> tuple[str, str]:
+def default_up(cloud: SplatCloud, skeleton: Skeleton, path: Path | None = None) -> tuple[str, str]:
     """The axis where none was chosen, as the file says or z, unless bones contradict; and why it is not z ("")."""
     said = cloud.up or "z"
     found = _of_bones(cloud, skeleton)
     if found is not None and found.axis != said:
         return found.axis, f"assumed {found.sentence}"
-    return said, f"assumed {said.upper()} up, as the file says" if cloud.up and cloud.up != "z" else ""
+    return said, f"assumed {said.upper()} up, {_who_says(path)}" if cloud.up and cloud.up != "z" else ""
 
 
 def guess_up_for(cloud: SplatCloud, skeleton: Skeleton, path: Path | None = None) -> UpGuess:
@@ -64,7 +64,11 @@ def _of_capture(cloud: SplatCloud, path: Path | None) -> UpGuess:
     if seen:
         return UpGuess(seen, "as its cameras were held", 1.0)
     # "y" leaves open which of its ends, and some programs write it always; nobody writes z without cause.
-    return UpGuess("z", "as the file says", 1.0) if cloud.up == "z" else guess_up(cloud)
+    return UpGuess("z", _who_says(path), 1.0) if cloud.up == "z" else guess_up(cloud)
+
+
+def _who_says(path: Path | None) -> str:
+    return "as its header says" if path is not None and path.suffix.lower() == ".ply" else "as its format says"
 
 
 def _of_bones(cloud: SplatCloud, skeleton: Skeleton) -> UpGuess | None:

@@ -46,8 +46,8 @@ def test_a_header_is_read(tmp_path):
     path.write_bytes(path.read_bytes().replace(b"element vertex", b"comment Vertical Axis: y\nelement vertex", 1))
     cloud = read_ply(path).cloud
     assert cloud.up == "y"
-    axis, words = resolve_up("auto", cloud)
-    assert (axis, "file says" in words) == ("y", True)
+    axis, words = resolve_up("auto", cloud, None, path)
+    assert (axis, "header says" in words) == ("y", True)
 
 
 @pytest.mark.parametrize("up", UP_AXES)
