@@ -32,7 +32,7 @@ demo: $(STAMP)
 	@$(RUN) -m demo --out out/demo
 
 test: $(STAMP)
-	@$(RUN) -m pytest
+	@$(RUN) -m pytest -n auto --maxprocesses 4 --dist loadfile
 
 test-versions:
 	@$(PYTHON) tests/versions $(if $(ONLY),--only $(ONLY))
