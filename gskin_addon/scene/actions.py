@@ -123,6 +123,12 @@ def choose_part(obj: bpy.types.Object, name: str, slot: str | None = None) -> Pa
     if len(preferred) > 1:
         slots = ", ".join(f"'{part.slot.name_display}'" for part in preferred)
         raise InputError(f"The action '{name}' has several slots that fit '{obj.name}': {slots}; choose with --slot.")
+    rivals = _rivals(preferred[0], obj)
+    if rivals:
+        raise InputError(
+            f"The action '{name}' fits '{obj.name}' and {' and '.join(rivals)}, and Blender before 4.4 does not keep "
+            "whose it is; assign it to its armature, save the file, and try again."
+        )
     return preferred[0]
 
 
@@ -158,6 +164,15 @@ def drop_foreign(actions: Iterable[bpy.types.Action], kept: Iterable[bpy.types.O
                 slots.remove(slot)
         if not len(slots):
             bpy.data.actions.remove(action)
+
+
+def _rivals(part: Part, obj: bpy.types.Object) -> list[str]:
+    """Other armatures whose an unused action without slots may be as well."""
+    moved = bones_of(part)
+    if part.slot is not None or not moved or users_of(part):
+        return []
+    armatures = [other for other in bpy.data.objects if other.type == "ARMATURE" and other != obj]
+    return sorted(f"'{other.name}'" for other in armatures if moved <= {bone.name for bone in other.data.bones})
 
 
 def _named(part: Part) -> str:

@@ -10,8 +10,8 @@ import pytest
 from glb import Glb
 
 from gskin_addon.core.errors import InputError
-from gskin_addon.scene import gltf_export, rig_files
-from gskin_addon.scene.actions import belongs, choose_part, own_parts, parts_of
+from gskin_addon.scene import actions, gltf_export, rig_files
+from gskin_addon.scene.actions import Part, belongs, choose_part, own_parts, parts_of
 from gskin_addon.scene.gltf_export import export_glb
 
 SLOTS = hasattr(bpy.types, "ActionSlot")
@@ -231,3 +231,17 @@ def test_a_posed_glb_stands_as_posed(tmp_path):
     posed = np.einsum("nk,nkij,nj->ni", weights, glb.joint_matrices(mesh)[joints], points)[:, :3]
     posed = posed @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])  # y up to z up
     np.testing.assert_allclose(posed, fig.expected(fig.cloud().means), atol=1e-4)
+
+
+def test_without_slots_an_unused_clip_of_two_like_rigs_is_refused(tmp_path, monkeypatch):
+    """Blender 4.3 keeps nothing that says whose an action is that nobody uses."""
+    two(tmp_path / "two.blend", loose_clips)
+    rig_files.open_blend(tmp_path / "two.blend")
+    hero = bpy.data.objects["Hero"]
+    monkeypatch.setattr(actions, "parts_of", lambda action: [Part(action)])
+    monkeypatch.setattr(actions, "bones_of", lambda part: {"arm.L"})
+    monkeypatch.setattr(actions, "users_of", lambda part: set())
+    with pytest.raises(InputError, match=r"fits 'Hero' and 'Monster', and Blender before 4\.4"):
+        choose_part(hero, "MonsterRoar")
+    bpy.data.objects.remove(bpy.data.objects["Monster"])
+    assert choose_part(hero, "HeroWave").action.name == "HeroWave"
