@@ -40,7 +40,6 @@ class WeightEdit:
 
     _steps: Steps[int] | None = None
     _timer: bpy.types.Timer | None = None
-    _uid = (0, "")
     _mode = ""
 
     @classmethod
@@ -74,7 +73,9 @@ class WeightEdit:
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if event.type == "ESC" and event.value == "PRESS":
-            return self._end(context, None, "Cancelled; no weights were changed.")
+            self._leave(context)
+            self.report({"WARNING"}, "Cancelled; no weights were changed")
+            return {"CANCELLED"}
         if event.type != "TIMER":
             return {"RUNNING_MODAL"}  # nobody may change the splats meanwhile
         try:
@@ -83,6 +84,10 @@ class WeightEdit:
             return self._end(context, stop.value, "")
         except GSkinError as error:
             return self._end(context, None, error.plain)
+        except Exception:
+            # Blender frees the operator without a word to it; its mode and status text would stay.
+            self._leave(context)
+            raise
         if context.workspace is not None:
             context.workspace.status_text_set(f"{self.bl_label}: {share:.0%}  (Esc cancels)")
         return {"RUNNING_MODAL"}
@@ -116,7 +121,6 @@ class WeightEdit:
             self._restore(splats)
             self.report({"ERROR"}, error.plain)
             return False
-        self._uid = (splats.session_uid, splats.name)
         return True
 
     def reached(self, splats: bpy.types.Object, selected: Array | None) -> Array | None:
@@ -124,6 +128,14 @@ class WeightEdit:
         return selected
 
     def _end(self, context: bpy.types.Context, count: int | None, trouble: str) -> set[str]:
+        self._leave(context)
+        if count is None:
+            self.report({"ERROR"}, trouble)
+            return {"CANCELLED"}
+        self.report({"INFO"}, "; ".join(filter(None, (f"Weights of {count:,} splats changed", self.words()))))
+        return {"FINISHED"}
+
+    def _leave(self, context: bpy.types.Context) -> None:
         self._steps.close()
         if self._timer is not None:
             context.window_manager.event_timer_remove(self._timer)
@@ -133,11 +145,6 @@ class WeightEdit:
         splats = chosen_splats(context)
         if splats is not None:
             self._restore(splats)
-        if count is None:
-            self.report({"ERROR"}, trouble)
-            return {"CANCELLED"}
-        self.report({"INFO"}, "; ".join(filter(None, (f"Weights of {count:,} splats changed", self.words()))))
-        return {"FINISHED"}
 
     def _restore(self, splats: bpy.types.Object) -> None:
         if self._mode == "EDIT" and splats.mode == "OBJECT":
