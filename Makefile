@@ -31,8 +31,9 @@ venv: $(STAMP)
 demo: $(STAMP)
 	@$(RUN) -m demo --out out/demo
 
+# One thread of torch per process: with two for each of two cores they wait for one another for minutes.
 test: $(STAMP)
-	@$(RUN) -m pytest -n auto --maxprocesses 4 --dist loadfile
+	@OMP_NUM_THREADS=1 $(RUN) -m pytest -n auto --maxprocesses 4 --dist loadfile
 
 test-versions:
 	@$(PYTHON) tests/versions $(if $(ONLY),--only $(ONLY))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import rig_scenes as rigs
 import splat_clouds as clouds
+from patience import HANG
 
 bpy = pytest.importorskip("bpy")
 
@@ -335,18 +336,20 @@ def test_instances_of_a_collection_are_shown_where_they_are():
 
 
 def test_the_thread_runs_the_newest_job_of_each_asker():
-    sorter, gate = Sorter(), threading.Event()
+    sorter, gate, begun = Sorter(), threading.Event(), threading.Event()
     ran = []
 
     def job(name):
         def run():
-            gate.wait(10)
+            begun.set()
+            gate.wait(HANG)
             ran.append(name)
             return name
 
         return run
 
     sorter.ask("a", 1, job("a1"))
+    assert begun.wait(HANG)  # else the second would take the place of the first before it runs
     sorter.ask("a", 2, job("a2"))
     sorter.ask("a", 3, job("a3"))
     sorter.ask("b", 1, job("b1"))
