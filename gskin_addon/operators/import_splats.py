@@ -80,7 +80,7 @@ class GSKIN_OT_import_splats(bpy.types.Operator, ImportHelper):
         if not self.properties.is_property_set("place"):
             self.place = True
         if not self.properties.is_property_set("frame"):
-            self.frame = not views.has_surfaces(context.scene)
+            self.frame = not views.has_surfaces(context.view_layer)
         return self.invoke_popup(context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:

@@ -14,9 +14,12 @@ _SURFACES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD",
 _BEFORE = "gskin_shading"
 
 
-def has_surfaces(scene: bpy.types.Scene) -> bool:
-    """Whether the scene holds anything to look at, splats or other."""
-    return any(obj.type in _SURFACES for obj in scene.objects)
+def has_surfaces(view_layer: bpy.types.ViewLayer) -> bool:
+    """Whether there is anything to look at, splats or other. Bone shapes that an importer has put away are nothing."""
+    return any(
+        obj.type in _SURFACES and not is_helper(obj) and obj.visible_get(view_layer=view_layer)
+        for obj in view_layer.objects
+    )
 
 
 def has_other_surfaces(view_layer: bpy.types.ViewLayer) -> bool:

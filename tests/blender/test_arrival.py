@@ -159,6 +159,20 @@ def test_alone_splats_show_their_colours(tmp_path):
     assert not views.has_other_surfaces(bpy.context.view_layer)
 
 
+def test_bone_shapes_that_an_importer_put_away_are_nothing_to_look_at():
+    """Else splats that arrive after a rig would not be framed."""
+    bpy.ops.mesh.primitive_ico_sphere_add()
+    ball, layer = bpy.context.object, bpy.context.view_layer
+    assert views.has_surfaces(layer)
+    away = bpy.data.collections.new("glTF_not_exported")
+    bpy.context.scene.collection.children.link(away)
+    away.objects.link(ball)
+    bpy.context.scene.collection.objects.unlink(ball)
+    layer.layer_collection.children[away.name].hide_viewport = True
+    layer.update()
+    assert not views.has_surfaces(layer)
+
+
 def test_a_chosen_colour_mode_stays(tmp_path):
     solid_view().color_type = "RANDOM"
     arrive(tmp_path, figure())
