@@ -269,6 +269,7 @@ def test_pose_turns_splats_about_the_bones_head(rigged, tmp_path):
     np.testing.assert_allclose(after.means, share * turned + (1 - share) * before.means, atol=1e-4)
 
 
+@only_with("PIL")  # reads .sog back without Blender
 def test_pose_writes_every_format_of_splats(rigged, tmp_path):
     """In the format's own axes, read back as the .ply of the same pose."""
     turn = ["--rotate", "upper", "0", "90", "0"]
