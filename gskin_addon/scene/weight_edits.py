@@ -51,12 +51,14 @@ def iter_edit_weights(
         raise InputError(f"All vertex groups of '{obj.name}' are locked; unlock those that may change.")
     painted, _ = yield from part_of(iter_read_weights(obj, bones), 0.0, 0.3)
 
-    def work() -> Array:
+    def work() -> tuple[Array, Array, Array]:
         before = painted.copy()
         before[before.sum(axis=1) <= 0, 0] = 1
-        return keep(painted, change(before), selected=selected, locked=locked, most=names.INFLUENCES)
+        after = keep(painted, change(before), selected=selected, locked=locked, most=names.INFLUENCES)
+        index, value = strongest(after, min(names.INFLUENCES, len(bones)))
+        return after, index, np.where((after > 0).any(axis=1)[:, None], value, 0)
 
-    after = yield from part_of(in_thread(work), 0.3, 0.6)
+    after, index, value = yield from part_of(in_thread(work), 0.3, 0.6)
     moved = after != painted
     count = int(moved.any(axis=1).sum())
     if not count:
@@ -72,8 +74,6 @@ def iter_edit_weights(
     column = {name: bones.index(name) for name in again}
     with GroupsAside(obj) as groups:
         yield from part_of(groups.write(again, lambda i: np.ascontiguousarray(after[:, column[again[i]]])), 0.6, 0.95)
-        index, value = strongest(after, min(names.INFLUENCES, len(bones)))
-        value = np.where((after > 0).any(axis=1)[:, None], value, 0)
         obj = groups.check()
         frames = frames_of(obj) or bind(obj, armature)
         obj = groups.commit()
