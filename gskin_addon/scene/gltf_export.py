@@ -23,6 +23,7 @@ from ..core.files import replaced
 from ..core.splats import gltf
 from ..core.splats.axes import rotate_cloud
 from ..core.splats.cloud import SplatCloud
+from .actions import left_to_guess
 from .bone_frames import armature_of
 from .deform_stack import lost_in_gltf
 from .fabric import bring_fabrics_back, lay_fabrics_aside
@@ -104,7 +105,9 @@ class SplatExport:
             if export_settings["gltf_yup"]:
                 cloud = rotate_cloud(cloud, gltf.blender_to_gltf())
             _add_splats(gltf2_mesh, cloud)
-            for sentence in lost_in_gltf(self._object):
+            armature = armature_of(self._object)
+            doubts = [] if armature is None else left_to_guess(armature)
+            for sentence in doubts + lost_in_gltf(self._object):
                 export_settings["log"].warning(sentence)
         except GSkinError as error:
             export_settings["log"].error(error.plain, popup=True)
@@ -180,7 +183,8 @@ def export_glb(
         # The exporter moves to frame 0 and stays there when it fails.
         if bpy.context.scene.frame_current != frame:
             bpy.context.scene.frame_set(frame)
-    return [sentence for obj in objects if is_splat_object(obj) for sentence in lost_in_gltf(obj)]
+    doubts = [sentence for armature in armatures if animations for sentence in left_to_guess(armature)]
+    return doubts + [sentence for obj in objects if is_splat_object(obj) for sentence in lost_in_gltf(obj)]
 
 
 def _seen(objects: Sequence[bpy.types.Object]) -> Sequence[bpy.types.Object]:
