@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +27,6 @@ LONG, OFF = 1.2, 0.25
 """Shares of the way to its farthest child: length from which on a bone set right by that factor is still too long;
 distance of its end from its only child from which on a root is a handle for the whole."""
 
-Real = TypeVar("Real", bound=np.floating)
-
 
 @dataclass(frozen=True)
 class BoneSegments:
@@ -44,11 +41,18 @@ class BoneSegments:
         names = tuple(f"{i}" for i in range(len(self.bone)))
         return Skeleton(names, np.full(len(names), -1), self.starts, self.ends)
 
-    def nearest(self, distance: NDArray[Real]) -> NDArray[Real]:
+    def nearest(self, distance: NDArray[np.float32]) -> NDArray[np.float32]:
         """Distances to the segments (N, S) as distances to the bones (N, B): the smallest of each bone."""
         out = np.full((len(distance), int(self.bone.max()) + 1), np.inf, distance.dtype)
         for column, bone in enumerate(self.bone):
             np.minimum(out[:, bone], distance[:, column], out=out[:, bone])
+        return out
+
+    def add_up(self, weights: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Weights of the segments (N, S) as weights of the bones (N, B): the sum of each bone."""
+        out = np.zeros((len(weights), int(self.bone.max()) + 1), weights.dtype)
+        for column, bone in enumerate(self.bone):
+            out[:, bone] += weights[:, column]
         return out
 
 
