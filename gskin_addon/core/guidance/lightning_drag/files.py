@@ -76,7 +76,6 @@ ROLES: dict[str, ModelFiles] = {
     "lightning_drag": ModelFiles(
         "LightningDrag checkpoint",
         (
-            f"{APPEARANCE}/config.json",
             _within(APPEARANCE, ("diffusion_pytorch_model.safetensors",)),
             POINTS,
             ATTENTION,
