@@ -75,6 +75,7 @@ def _build(group: bpy.types.NodeTree, bendy: bool) -> None:
         made.append(tree.call(group_of, {"Geometry": geometry, "Bones": bones})["Geometry"])
     # The condition is a single value: what is not asked for is not computed.
     tree.node("NodeGroupOutput", {"Geometry": choose(tree, uneven, made[0], made[1], "GEOMETRY")})
+    tree.lay_out()
 
 
 def _turned(tree: Tree, given: Input) -> dict[str, Any]:
