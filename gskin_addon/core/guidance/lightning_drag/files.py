@@ -80,7 +80,7 @@ ROLES: dict[str, ModelFiles] = {
             POINTS,
             ATTENTION,
         ),
-        "see its model card",
+        "none is stated for these weights",
         "LightningDrag/lightning-drag-sd15",
     ),
     "lcm_lora": ModelFiles(
