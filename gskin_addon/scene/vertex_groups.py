@@ -126,6 +126,12 @@ def read_pairs(obj: bpy.types.Object, part: slice) -> tuple[Array, Array, Array]
     return np.repeat(np.arange(len(groups)), counts), group, weight
 
 
+def add_groups(obj: bpy.types.Object, names: Sequence[str], weights: Array) -> None:
+    """Vertex groups `names` with the columns of weights (N, K) float32, each point in those where it is above 0."""
+    for name, column in zip(names, weights.T, strict=True):
+        _add_group(obj, name, column)
+
+
 def _add_group(obj: bpy.types.Object, name: str, column: Array) -> None:
     """A vertex group with the weights `column` (N,) float32 where they are above 0."""
     if not (column > 0).any():
