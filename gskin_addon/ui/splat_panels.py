@@ -68,8 +68,6 @@ class GSKIN_PT_display(_Child, bpy.types.Panel):
 
 def _draw_true_splats(context: bpy.types.Context, splats: bpy.types.Object, layout: bpy.types.UILayout) -> None:
     """The switch between splats and ellipsoids, and why there may be ellipsoids all the same."""
-    if switch.is_native(find_display(splats)):
-        return
     layout.prop(context.scene, "gskin_draw_splats")
     if not switch.setting(context.scene):
         return
