@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
-from .actions import assign, belongs, choose_part, parts_of
+from .actions import assign, belongs, choose_part, own_parts, parts_of
 from .anchored import proxy_of
 from .armature import deform_bone_names, pose_transforms_of
+from .clip_losses import listed, posed_by_hand
 from .controls import followers, set_property, switched, switches
 from .dependencies import is_animated, needed_objects, unheard_drivers
 from .posing import Channels, channels, hold_pose, pose_matrices, restore, turn_bones
@@ -61,6 +62,13 @@ def pose_still(obj: bpy.types.Object, armature: bpy.types.Object, wanted: Pose) 
             notes.append(f"Nothing moves '{armature.name}': it is the same at every frame")
         whole, part = divmod(wanted.frame, 1.0)
         bpy.context.scene.frame_set(int(whole), subframe=part)
+        by_hand = posed_by_hand(armature) if wanted.action is None and own_parts(armature) else []
+        if by_hand:
+            verb = "has no keys and stands" if len(by_hand) == 1 else "have no keys and stand"
+            notes.append(
+                f"{listed(by_hand)} of '{armature.name}' {verb} as posed by hand, as Blender shows it; with --action, "
+                "and in the clips of a .glb, such bones are at rest"
+            )
     if wanted.turns or wanted.settings:
         # Blender would take them back at the next change of frame, and on opening the file.
         notes += hold_pose(armature)
