@@ -14,10 +14,13 @@ _STILL = 1e-5
 """How much an entry of a bone's own matrix is away from rest at least when it was posed."""
 
 
-def lost_in_clips(armature: bpy.types.Object) -> list[str]:
-    """Sentences about what the armature's clips do not hold of how it moves in Blender."""
+def lost_in_clips(armature: bpy.types.Object, *, posed: bool = False) -> list[str]:
+    """Sentences about what the armature's clips do not hold of how it moves in Blender.
+
+    posed: the file has the present pose besides, so that bones without keys need no word.
+    """
     found = said_of_nla(armature)
-    bones = posed_by_hand(armature)
+    bones = [] if posed else posed_by_hand(armature)
     if bones:
         found.append(
             f"{listed(bones)} of '{armature.name}' {'is' if len(bones) == 1 else 'are'} posed by hand without keys, "

@@ -41,7 +41,13 @@ def clips_of(armatures: Sequence[bpy.types.Object], *, posed: bool, animations: 
         _companions.update(moved)
         bpy.context.view_layer.update()
         no_clips = not animations or not (bake or any(own.values()))
-        yield {"export_rest_position_armature": not (posed or no_clips), "export_bake_animation": bake}
+        stands = posed or no_clips
+        # At frame 0, where the exporter goes otherwise, what is animated stands elsewhere.
+        yield {
+            "export_rest_position_armature": not stands,
+            "export_current_frame": stands,
+            "export_bake_animation": bake,
+        }
     finally:
         _companions.clear()
         for data, position in positions:

@@ -194,7 +194,7 @@ def export_glb(
             bpy.context.scene.frame_set(frame)
     clipped = [armature for armature in armatures if animations]
     doubts = [sentence for armature in clipped for sentence in left_to_guess(armature)]
-    doubts += [s for armature in clipped if not posed and own_parts(armature) for s in lost_in_clips(armature)]
+    doubts += [s for armature in clipped if own_parts(armature) for s in lost_in_clips(armature, posed=posed)]
     if most > 4:
         doubts.append(
             f"Segments of bendy bones are joints in '{path.name}', up to {most} for a splat (JOINTS_1); viewers that "

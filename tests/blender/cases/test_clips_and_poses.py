@@ -97,3 +97,22 @@ def test_an_export_leaves_the_pose_as_it_was(tmp_path):
     np.testing.assert_allclose(posed_cloud(splats).means, before, atol=1e-6)
     assert armature.animation_data.action.name == "Nod"
     assert len(Glb(tmp_path / "out.glb").json["animations"]) == 2
+
+
+def test_a_frame_of_an_action_is_what_a_posed_glb_stands_in(tmp_path):
+    """Blender's exporter would go to frame 0."""
+
+    def animated(splats, armature):
+        fig.wave(armature, "Wave")
+        # What moves the bone besides is animated, too.
+        target = fig.add_empty("target", (0.6, 0, 1.25))
+        fig.key(target, "location", {1: (0.6, 0, 1.25), 10: (0.3, 0, 1.5)})
+        constraint = armature.pose.bones["hand.R"].constraints.new("COPY_LOCATION")
+        constraint.target = target
+
+    source = fig.rigged(tmp_path / "in.blend", animated)
+    for arguments in (("--frame", 7.5), ("--frame", 10, "--action", "Wave")):
+        wanted = fig.posed_means(source, *arguments)
+        assert fig.run("pose", source, "--out", tmp_path / "out.glb", *arguments) == 0
+        glb = Glb(tmp_path / "out.glb")
+        np.testing.assert_allclose(glb.posed(glb.node("fig")), wanted, atol=1e-4)
