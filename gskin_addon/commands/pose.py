@@ -34,6 +34,7 @@ def run(options: argparse.Namespace) -> None:
         from ..scene.placement import as_in_file
         from ..scene.posing import posed_cloud
         from ..scene.splat_object import read_cloud
+        from ..scene.transforms import shown_wrongly
 
         if kind in SPLATS:
             form = output_format(options.out)
@@ -49,6 +50,8 @@ def run(options: argparse.Namespace) -> None:
             say_left_out(options.out, as_in_file(obj, read_cloud(obj), GLTF_UP))
     if kind == ".blend":
         rig_files.save_blend(options.out)
+        for sentence in shown_wrongly(obj):
+            print_message(f"Warning: {sentence}")
     print_message(f"'{obj.name}' is posed in '{options.out}'.")
 
 
@@ -63,7 +66,7 @@ def posed(options: argparse.Namespace) -> Iterator[bpy.types.Object]:
     require_bpy()
     from ..scene import rig_files
     from ..scene.anchored import proxy_of
-    from ..scene.blend_rigs import own_rig
+    from ..scene.blend_rigs import check_whole, own_rig
     from ..scene.proxy_object import followed_armature
     from ..scene.still_pose import Pose, pose_still
     from ..scene.visibility import shown
@@ -73,6 +76,8 @@ def posed(options: argparse.Namespace) -> Iterator[bpy.types.Object]:
     rig_files.open_blend(options.source)
     obj = rig_files.find_splats(options.source, options.object)
     armature = followed_armature(obj)
+    if armature is not None:
+        check_whole(armature)
     if options.slot is not None and options.action is None:
         raise InputError(f"--slot '{options.slot}' is of no use without --action.")
     wanted = Pose(turns, settings, options.action, options.slot, options.frame)

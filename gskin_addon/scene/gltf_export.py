@@ -30,6 +30,7 @@ from .deform_stack import NO_BENDS, lost_in_gltf
 from .fabric import bring_fabrics_back, lay_fabrics_aside
 from .gltf_bends import bends_as_joints, can_be_joints
 from .gltf_clips import clips_of, keep_own, play_companions, rest_before_clips
+from .gltf_shear import said_of_shear, shear_watched
 from .splat_object import is_splat_object, read_cloud
 from .visibility import shown
 
@@ -162,6 +163,7 @@ def export_glb(
             nodes_hidden(),
             clips_of(armatures, posed=posed, animations=animations) as options,
             bends_as_joints(objects) as most,
+            shear_watched(armatures) as sheared,
         ):
             _failures.clear()
             bpy.ops.export_scene.gltf(
@@ -195,6 +197,7 @@ def export_glb(
     clipped = [armature for armature in armatures if animations]
     doubts = [sentence for armature in clipped for sentence in left_to_guess(armature)]
     doubts += [s for armature in clipped if own_parts(armature) for s in lost_in_clips(armature, posed=posed)]
+    doubts += said_of_shear(sheared)
     if most > 4:
         doubts.append(
             f"Segments of bendy bones are joints in '{path.name}', up to {most} for a splat (JOINTS_1); viewers that "

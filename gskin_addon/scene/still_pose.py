@@ -45,10 +45,11 @@ def pose_still(obj: bpy.types.Object, armature: bpy.types.Object, wanted: Pose) 
     Raises InputError: unknown bones, properties or actions, an action of another object, a turn that does not arrive
     at the splats, a pose that would not stay.
     """
+    switched_on = _switch_on(obj)
     if not wanted:
         rests = armature.data.pose_position == "REST"
-        return [f"Armature '{armature.name}' is in Rest Position, and its splats with it"] if rests else []
-    notes = []
+        return switched_on + [f"Armature '{armature.name}' is in Rest Position, and its splats with it"] * rests
+    notes = switched_on
     if armature.data.pose_position == "REST":
         armature.data.pose_position = "POSE"
         notes.append(f"Armature '{armature.name}' was in Rest Position; it is in Pose Position now")
@@ -76,6 +77,18 @@ def pose_still(obj: bpy.types.Object, armature: bpy.types.Object, wanted: Pose) 
         _set(armature, owner, prop, value)
     notes += _turn(obj, armature, wanted.turns)
     _check_that_it_stays(armature)
+    return notes
+
+
+def _switch_on(obj: bpy.types.Object) -> list[str]:
+    """Let the modifiers by which the splats follow their armature, or the mesh they hang on does, work; say which."""
+    notes = []
+    for carrier in filter(None, (obj, proxy_of(obj))):
+        for modifier in carrier.modifiers:
+            follows = modifier.type == "ARMATURE" and modifier.object is not None
+            if follows and not (modifier.show_viewport and modifier.show_render):
+                modifier.show_viewport = modifier.show_render = True
+                notes.append(f"Modifier '{modifier.name}' of '{carrier.name}' was switched off; it is on now")
     return notes
 
 
