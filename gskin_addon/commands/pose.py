@@ -14,7 +14,7 @@ from ..core.splats.gltf_file import UP as GLTF_UP
 from .blender import require_bpy
 from .console import print_message
 from .paths import check_output, same_file
-from .save import say_left_out
+from .save import save_rigged, say_left_out
 
 if TYPE_CHECKING:
     import bpy
@@ -30,11 +30,9 @@ def run(options: argparse.Namespace) -> None:
         raise InputError(f"--out '{options.out}' would overwrite its own input; choose another name.")
     kind = options.out.suffix.lower()
     with posed(options) as obj:
-        from ..scene import rig_files
         from ..scene.placement import as_in_file
         from ..scene.posing import posed_cloud
         from ..scene.splat_object import read_cloud
-        from ..scene.transforms import shown_wrongly
 
         if kind in SPLATS:
             form = output_format(options.out)
@@ -49,9 +47,7 @@ def run(options: argparse.Namespace) -> None:
                 print_message(f"Warning: {sentence}")
             say_left_out(options.out, as_in_file(obj, read_cloud(obj), GLTF_UP))
     if kind == ".blend":
-        rig_files.save_blend(options.out)
-        for sentence in shown_wrongly(obj):
-            print_message(f"Warning: {sentence}")
+        save_rigged(options.out, obj)
     print_message(f"'{obj.name}' is posed in '{options.out}'.")
 
 

@@ -17,8 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
+from ..core.rig.covariance import transform_gaussians
+from ..core.rig.stretch import polar
 from . import names
-from .attributes import ObjectData, read_positions, write_positions
+from .attributes import ObjectData, read_attribute, read_positions, write_positions
+from .transforms import world_similarity
 
 Array = NDArray[Any]
 
@@ -89,6 +92,22 @@ def not_in_the_viewport(obj: bpy.types.Object) -> list[str]:
     return found
 
 
+def shown_wrongly(obj: bpy.types.Object) -> list[str]:
+    """Sentences about what Blender's 3D view and its own engines do not show of how the splats turn."""
+    found = []
+    try:
+        world_similarity(obj)
+    except InputError as error:
+        found.append(f"Blender moves the splats, and turns and sizes them wrongly: {error.plain}")
+    reasons = not_in_the_viewport(obj)
+    if reasons:
+        found.append(
+            f"Blender's 3D view turns the splats of '{obj.name}' by vertex groups alone, but {'; '.join(reasons)}. "
+            "Right are Render Splats, gskin render and the splats that gskin pose writes."
+        )
+    return found
+
+
 def bendy_bones(obj: bpy.types.Object) -> list[str]:
     """Names of the bones with segments that move the splats by a vertex group."""
     groups = {group.name for group in obj.vertex_groups}
@@ -138,6 +157,19 @@ def measured_deform(obj: bpy.types.Object) -> tuple[Array, Array]:
             width = (ends[0].astype(np.float64) - ends[1])[:, axis]
             maps[:, :, axis] = (_evaluated(copy, ends[0]) - _evaluated(copy, ends[1])) / width[:, None]
     return moved, maps
+
+
+def measured_splats(obj: bpy.types.Object) -> tuple[Array, Array, Array, Array]:
+    """Points (N, 3), rotations (N, 4), scales (N, 3) and turns (N, 4) of the splats, as `measured_deform` has them.
+
+    float32, in the object's space.
+    """
+    moved, maps = measured_deform(obj)
+    rotation, scale = (read_attribute(obj.data, name) for name in (names.ROTATION, names.SCALE))
+    quats, sizes = transform_gaussians(rotation, scale, maps)
+    turn = polar(maps)[0]
+    found = [np.asarray(values, np.float32) for values in (moved, quats, sizes, turn)]
+    return found[0], found[1], found[2], found[3]
 
 
 def _is_ours(modifier: Any, groups: tuple[str, ...] = _OURS) -> bool:

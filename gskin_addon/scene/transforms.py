@@ -26,15 +26,6 @@ def world_similarity(obj: bpy.types.Object) -> tuple[Array, float, Array]:
         return similarity_as_shown(obj)
 
 
-def shown_wrongly(obj: bpy.types.Object) -> list[str]:
-    """A sentence where Blender moves the object's splats and cannot turn and size them, because of its scale."""
-    try:
-        world_similarity(obj)
-    except InputError as error:
-        return [f"Blender moves the splats, and turns and sizes them wrongly: {error.plain}"]
-    return []
-
-
 def similarity_as_shown(obj: bpy.types.Object) -> tuple[Array, float, Array]:
     """`world_similarity` as of the last update, for panels: while they draw, nothing may be updated."""
     matrix = np.array(obj.matrix_world, dtype=np.float64)
