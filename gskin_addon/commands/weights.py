@@ -47,6 +47,7 @@ def run(options: argparse.Namespace) -> None:
     require_bpy()
     from ..scene import rig_files
     from ..scene.armature import deform_bone_names
+    from ..scene.blend_rigs import check_whole
     from ..scene.bone_frames import armature_of
     from ..scene.single_user import said_of, sharers
     from ..scene.steps import run_to_end
@@ -59,6 +60,7 @@ def run(options: argparse.Namespace) -> None:
         raise InputError(
             f"'{obj.name}' in '{options.source}' follows no armature by weights of its own; bind it with gskin rig."
         )
+    check_whole(armature)
     bones = deform_bone_names(armature)
     for name in options.lock:
         _column(name, bones, "--lock")
