@@ -4,10 +4,10 @@
     python -m benchmarks.paper_preset [--assets NAME,...] [--splats 20000] [--size 512] [--iterations 500] [--batch 20]
 
 Without options both run as a user has them. On a CPU the weight volume takes hours for it, so all sizes can be
-reduced, for both alike. The default assets are of OpenDungeons, a family that the shipped learned weights have not seen.
-Rows between the two change one thing at a time, to tell where a difference comes from. Errors are mean distances to the
-true posed position in % of the diagonal, over 24 random poses that no job has seen, with all bones and with the four
-strongest. A finished row is kept in `--out` and not run again.
+reduced, for both alike. The default assets are of OpenDungeons, a family that the shipped learned weights have not
+seen. Rows between the two change one thing at a time, to tell where a difference comes from. Errors are mean distances
+to the true posed position in % of the diagonal, over 24 random poses that no job has seen, with all bones and with the
+four strongest. A finished row is kept in `--out` and not run again.
 """
 
 from __future__ import annotations
