@@ -35,7 +35,7 @@ from .steps import JobInputs
 from .work_kinds import rendering_kinds
 
 TRIAL_POSES = 8
-"""Poses of each view in a try-out. A view renders what it sees in any of them: with 6 the try-outs of `paper` took
+"""Poses of each view in a try-out. A view renders what it sees in any of them: with 6 the try-outs of `thorough` took
 0.40 s, with 15 they took 0.60 s, the run itself 0.5 s an iteration."""
 
 LIVE_SIZE = 256
