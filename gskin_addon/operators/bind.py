@@ -10,7 +10,7 @@ import bpy
 from bpy_extras.io_utils import ImportHelper
 
 from ..core.errors import GSkinError
-from ..core.rig.weights_file import read_weights_file
+from ..core.job.skinned_files import read_weights
 from ..scene.armature import deform_bone_names
 from ..scene.binding import bind, check_splats
 from ..scene.bone_frames import armature_of
@@ -26,16 +26,16 @@ from ._sliced import Sliced
 
 
 class GSKIN_OT_load_weights(Sliced, bpy.types.Operator, ImportHelper):
-    """Bind the splats to the armature with skinning weights from an .npz file"""
+    """Bind the splats to the armature with skinning weights from an .npz file, or a .txt as RigNet writes it"""
 
     bl_idname = "gskin.load_weights"
-    bl_label = "Load Splat Weights (.npz)"
+    bl_label = "Load Splat Weights"
     bl_options = {"REGISTER", "UNDO"}
 
     filename_ext = ".npz"
     if TYPE_CHECKING:
         filepath: str  # ImportHelper's
-    filter_glob: bpy.props.StringProperty(default="*.npz", options={"HIDDEN"})
+    filter_glob: bpy.props.StringProperty(default="*.npz;*.txt", options={"HIDDEN"})
     max_influences: bpy.props.IntProperty(
         name="Max Influences", description="The most bones that move one splat", default=4, min=1, max=4
     )
@@ -55,7 +55,8 @@ class GSKIN_OT_load_weights(Sliced, bpy.types.Operator, ImportHelper):
         """Read, write the weights, lay the fabric; only the last slice changes the scene."""
         splats, armature = chosen_splats(context), chosen_armature(context)
         paintable, name = panel_settings(context).paintable, armature.name
-        result = yield from in_thread(lambda: read_weights_file(Path(self.filepath)))
+        path, bones = Path(self.filepath), deform_bone_names(armature)
+        result = yield from in_thread(lambda: read_weights(path, bones))
         shared = said_of(splats, sharers(splats))
         triangles = None
         if paintable and len(result.weights) == splat_count(splats):

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ from ..errors import InputError
 from ..files import read_arrays
 from ..rig.gltf_skin import Skinned, read_gltf_skin
 from ..rig.obj_file import read_obj
-from ..rig.rignet_file import read_rignet
+from ..rig.rignet_file import file_names, read_rignet
+from ..rig.weights_file import WeightsFile, read_weights_file
 from ..splats.axes import up_rotation
 
 Array = NDArray[Any]
@@ -110,3 +112,27 @@ def _fitting(path: Path, verts: Array, faces: Array, weights: Array, bones: tupl
 
 def _turned(mesh: Skinned, up: str) -> Skinned:
     return Skinned(mesh.verts @ up_rotation(up).T, mesh.faces, mesh.weights, mesh.bones)
+
+
+def read_weights(path: Path, bones: Sequence[str]) -> WeightsFile:
+    """Weights of a file of ours (.npz) or RigNet's (.txt), for an armature with `bones`.
+
+    RigNet's names have no spaces: those of the bones that they stand for come instead. Its joints that move nothing are
+    left out where the armature has no such bone.
+
+    Raises InputError as `read_weights_file` and `read_rignet` do.
+    """
+    if path.suffix.lower() != ".txt":
+        return read_weights_file(path)
+    rig = read_rignet(path)
+    known = dict(zip(file_names(list(bones)), bones, strict=True))
+    kept = [column for column, name in enumerate(rig.bones) if name in known or rig.weights[:, column].any()]
+    place = {column: number for number, column in enumerate(kept)}
+    parents = []
+    for column in kept:
+        parent = int(rig.parents[column])
+        while parent >= 0 and parent not in place:
+            parent = int(rig.parents[parent])
+        parents.append(place.get(parent, -1))
+    names = tuple(known.get(rig.bones[column], rig.bones[column]) for column in kept)
+    return WeightsFile(rig.weights[:, kept], names, rig.heads[kept], rig.tails[kept], np.array(parents, np.int64))
