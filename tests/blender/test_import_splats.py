@@ -211,6 +211,19 @@ def test_binding_lays_a_fabric_if_that_is_wanted(rig, wanted):
     assert has_fabric(obj) == wanted
 
 
+def test_weights_leave_and_come_back_as_rignets_text(rig, tmp_path):
+    """Bones whose names have spaces, which such a file has not."""
+    obj, armature, weights, _ = rig
+    armature.data.bones[1].name = "upper arm"
+    write_weights(obj, armature, weights)
+    before = read_weights(obj)[0]
+    assert bpy.ops.gskin.save_weights(filepath=str(tmp_path / "w.txt"), kind="RIGNET") == {"FINISHED"}
+    assert "upper_arm" in (tmp_path / "w.txt").read_text()
+    write_weights(obj, armature, weights[:, ::-1])
+    assert bpy.ops.gskin.load_weights(filepath=str(tmp_path / "w.txt")) == {"FINISHED"}
+    np.testing.assert_allclose(read_weights(obj)[0], before, atol=1e-5)
+
+
 def test_load_weights_of_other_splats(rig, tmp_path):
     obj, armature, weights, _ = rig
     write_weights_file(tmp_path / "w.npz", weights[:-1], read_skeleton(armature))
