@@ -72,7 +72,7 @@ def run(options: argparse.Namespace) -> None:
         _column(name, bones, "--lock")
     selected = _selection(options, obj, bones)
     body = _Body(obj, armature)
-    how = {"reach": options.reach, "angle": options.angle, "inpaint": options.inpaint}
+    how = {"reach": options.reach, "angle": options.angle, "inpaint": options.inpaint, "fit": options.fit}
     for option, value in options.changes:
         change, reached = _change(option, value, body, bones, selected, options.rim, how)
         count = run_to_end(iter_edit_weights(obj, change, reached, lock=options.lock))

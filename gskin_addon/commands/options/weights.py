@@ -81,6 +81,9 @@ def add(commands: Any) -> None:
         "--no-inpaint", dest="inpaint", action="store_false", help="what has no match takes what is nearest"
     )
     weights.add_argument(
+        "--fit", action="store_true", help="first bring the same surface that is a little off onto the other one"
+    )
+    weights.add_argument(
         "--select", type=Path, metavar="FILE", help="splats to change: .npz with `selected`, or a text of their numbers"
     )
     weights.add_argument(

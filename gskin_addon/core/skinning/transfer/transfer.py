@@ -15,6 +15,7 @@ from ...splats.cloud import SplatCloud
 from ...ticks import Tick, silent, stretch
 from ..edits.blend import follow_neighbours
 from ..edits.body_graph import BodyGraph, body_graph
+from .align import align
 from .facing import splat_facing, vertex_facing
 from .match import ANGLE, REACH, Match, among_points, on_surface
 
@@ -55,6 +56,17 @@ class Shape:
         )
         return cls(verts, vertex_facing(verts, welded[faces])[welded], graph, faces)
 
+    def fitted(self, onto: Shape, reach: float, tick: Tick = silent) -> Shape:
+        """The shape brought onto another one, see `align`; reach: a share of its diagonal."""
+        points, facing = self.points, self.facing
+        if self.faces is not None:
+            points, facing = _spread(self)
+        way = reach * float(np.linalg.norm(np.ptp(self.points, axis=0)))
+        matrix = align(points, facing, onto.points, onto.facing, way, tick)
+        rotation = matrix[:3, :3] / np.cbrt(np.linalg.det(matrix[:3, :3]))
+        moved = self.points @ matrix[:3, :3].T + matrix[:3, 3]
+        return Shape(moved, self.facing @ rotation.T, self.graph, self.faces)
+
 
 @dataclass(frozen=True, eq=False)
 class Transferred:
@@ -74,6 +86,7 @@ def transfer(
     reach: float = REACH,
     angle: float = ANGLE,
     inpaint: bool = True,
+    fit: bool = False,
     tick: Tick = silent,
 ) -> Transferred:
     """Weights of `source` (M, B), rows of any sum, for `target`, which lies in the same place in the same pose.
@@ -82,7 +95,7 @@ def transfer(
     further than `reach`, a share of the source's diagonal, or faces another way by more than `angle` degrees, such as
     a thigh behind a hand, it takes the harmonic continuation of the others' weights over the target's graph instead
     (Abdrashitov et al. 2023, with Laplace's equation, whose solution has no negative weights). Without `inpaint` all
-    keep what is nearest.
+    keep what is nearest. With `fit` the source is first brought onto the target, see `align`.
 
     Raises:
         InputError: the source has no weights, or lies elsewhere: nothing matches.
@@ -90,10 +103,12 @@ def transfer(
     weights = np.asarray(weights, np.float32)
     if not (weights.sum(axis=1) > 1e-6).any():
         raise InputError("The source has no weights for these bones; give it some, or rename its groups.")
+    if fit:
+        source = source.fitted(target, reach, stretch(tick, 0.0, 0.2))
     if source.faces is None:
         found = among_points(
             target.points, target.facing, source.points, source.facing, weights, reach=reach, angle=angle,
-            tick=stretch(tick, 0.0, 0.5),
+            tick=stretch(tick, 0.2, 0.5),
         )  # fmt: skip
     else:
         found = on_surface(
@@ -119,6 +134,19 @@ def _inpainted(found: Match, target: Shape, inpaint: bool, tick: Tick) -> Transf
             target.points[empty], None, target.points[found.sure], None, weights[found.sure], nearest=1
         ).weights
     return Transferred(weights, found.sure, alone)
+
+
+def _spread(mesh: Shape, count: int = 20_000) -> tuple[Array, Array]:
+    """Points (C, 3) spread over a mesh by area, and their facing (C, 3)."""
+    faces = np.asarray(mesh.faces)
+    corner = mesh.points[faces]
+    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    rng = np.random.default_rng(0)
+    place = (np.arange(count) + rng.random(count)) / count * area.sum()
+    face = np.searchsorted(np.cumsum(area), place).clip(0, len(faces) - 1)
+    root, other = np.sqrt(rng.random(count)), rng.random(count)
+    bary = np.stack([1 - root, root * (1 - other), root * other], axis=1)
+    return tuple(np.einsum("nk,nkd->nd", bary, values[faces[face]]) for values in (mesh.points, mesh.facing))
 
 
 def _without_contacts(graph: BodyGraph, facing: Array) -> BodyGraph:
