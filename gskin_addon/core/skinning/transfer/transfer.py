@@ -43,8 +43,7 @@ class Shape:
     def of_mesh(cls, verts: Array, faces: Array) -> Shape:
         """verts (V, 3), faces (F, 3). Vertices at one place, as files have them along seams of textures, are one."""
         verts, faces = np.asarray(verts, np.float64), np.asarray(faces)
-        first, place = np.unique(verts, axis=0, return_index=True, return_inverse=True)[1:]
-        welded = first[place.reshape(-1)]
+        welded = _first_there(verts)
         neighbour = mesh_neighbours(len(verts), welded[faces])[welded]
         own = np.arange(len(verts))[:, None]
         length = np.linalg.norm(verts[neighbour] - verts[:, None], axis=2)
@@ -147,6 +146,17 @@ def _spread(mesh: Shape, count: int = 20_000) -> tuple[Array, Array]:
     root, other = np.sqrt(rng.random(count)), rng.random(count)
     bary = np.stack([1 - root, root * (1 - other), root * other], axis=1)
     return tuple(np.einsum("nk,nkd->nd", bary, values[faces[face]]) for values in (mesh.points, mesh.facing))
+
+
+def _first_there(points: Array) -> Array:
+    """(N,) for each of points (N, 3) the first that is in exactly the same place."""
+    order = np.lexsort((np.arange(len(points)), *points.T))
+    ordered = points[order]
+    fresh = np.ones(len(points), bool)
+    fresh[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    out = np.empty(len(points), np.int64)
+    out[order] = order[fresh][np.cumsum(fresh) - 1]
+    return out
 
 
 def _without_contacts(graph: BodyGraph, facing: Array) -> BodyGraph:
