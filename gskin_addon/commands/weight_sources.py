@@ -102,6 +102,8 @@ def write_for_mesh(
     how: dict[str, Any],
 ) -> None:
     """Write weights of `obj`, of that shape, for the vertices of the mesh in `path`, at most four bones each."""
+    from ..scene.bone_frames import armature_of
+    from ..scene.mesh_export import export_skinned_mesh
     from ..scene.weights import read_weights
 
     verts, faces = read_surface(path, up)
@@ -110,6 +112,8 @@ def write_for_mesh(
     few = limit(result.weights, 4)
     if out.suffix.lower() == ".txt":
         write_rignet(out, few, skeleton)
+    elif out.suffix.lower() == ".glb":
+        export_skinned_mesh(out, verts, faces, armature_of(obj), few, skeleton.names)
     else:
         write_weights_file(out, few, skeleton)
     filled = int((~result.taken).sum())

@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> None:
     if not outputs:
         raise InputError("Say where to: --out FILE for the splats, --weights W.npz for the weights alone.")
     if to_mesh[1] is not None:
-        check_output(to_mesh[1], "--to-mesh", (".npz", ".txt"))
+        check_output(to_mesh[1], "--to-mesh", (".npz", ".txt", ".glb"))
     if options.out is not None:
         check_output(options.out, "--out", (".blend", ".glb"))
     if options.weights is not None:

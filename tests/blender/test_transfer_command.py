@@ -127,6 +127,22 @@ def test_weights_for_a_mesh_as_rignets_text(files, tmp_path, capsys):
     assert np.abs(rig.weights - weights).sum(1).mean() < 0.1
 
 
+def test_a_mesh_comes_out_skinned(files, tmp_path, capsys):
+    folder, _, verts, faces, weights = files
+    words = ("--to-mesh", folder / "body.obj", tmp_path / "mesh.glb", "--out", tmp_path / "out.blend")
+    code, said = run(capsys, folder / "old.blend", *words)
+    assert code == 0, said
+    mesh = read_skinned(tmp_path / "mesh.glb")
+    assert len(mesh.faces) == len(faces)
+    away = np.linalg.norm(mesh.verts[:, None] - verts[None], axis=2)
+    assert away.min(axis=1).max() < 1e-5
+    expected = weights[away.argmin(axis=1)]
+    order = [mesh.bones.index(name) for name in BONES]
+    assert np.abs(mesh.weights[:, order] - expected).sum(1).mean() < 0.1
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "out.blend"))
+    assert "mesh" not in bpy.data.objects, "the splats' file has no mesh that nobody asked for"
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -134,7 +150,7 @@ def test_weights_for_a_mesh_as_rignets_text(files, tmp_path, capsys):
         (("--from-mesh", "body.obj"), "give one of"),
         (("--from-splats", "body.obj"), "neither .blend nor .glb"),
         (("--from-splats", "body.glb"), "no skinned splats"),
-        (("--to-mesh", "body.obj", "x.ply"), "must end in .npz or .txt"),
+        (("--to-mesh", "body.obj", "x.ply"), "must end in .npz or .txt or .glb"),
     ],
 )
 def test_what_cannot_be_used_is_one_sentence(files, tmp_path, capsys, words, said):

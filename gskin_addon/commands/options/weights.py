@@ -64,7 +64,7 @@ def add(commands: Any) -> None:
         nargs=2,
         type=Path,
         metavar=("MESH", "W"),
-        help="write weights for a mesh in the same place (.obj, .npz, .glb): as .npz or RigNet's .txt",
+        help="write weights for a mesh in the same place (.obj, .npz, .glb): as .npz, .glb or RigNet's .txt",
     )
     weights.add_argument("--mesh-up", choices=UP_AXES, help="up axis of meshes (default: y for .obj and .glb, else z)")
     weights.add_argument(
