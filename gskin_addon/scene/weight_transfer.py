@@ -40,6 +40,7 @@ class Options:
     reach: float = REACH
     angle: float = ANGLE
     inpaint: bool = True
+    fit: bool = False
 
 
 @dataclass(frozen=True)
@@ -185,8 +186,6 @@ def _iter_work(
     """The transfer, in a thread."""
 
     def work() -> Transferred:
-        return transfer(
-            source(), weights, target(), reach=options.reach, angle=options.angle, inpaint=options.inpaint
-        )
+        return transfer(source(), weights, target(), **vars(options))
 
     return (yield from in_thread(work))

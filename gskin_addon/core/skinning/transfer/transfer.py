@@ -15,6 +15,7 @@ from ...splats.cloud import SplatCloud
 from ...ticks import Tick, silent, stretch
 from ..edits.blend import follow_neighbours
 from ..edits.body_graph import BodyGraph, body_graph
+from .align import align
 from .facing import splat_facing, vertex_facing
 from .match import ANGLE, REACH, Match, among_points, on_surface
 
@@ -42,8 +43,7 @@ class Shape:
     def of_mesh(cls, verts: Array, faces: Array) -> Shape:
         """verts (V, 3), faces (F, 3). Vertices at one place, as files have them along seams of textures, are one."""
         verts, faces = np.asarray(verts, np.float64), np.asarray(faces)
-        first, place = np.unique(verts, axis=0, return_index=True, return_inverse=True)[1:]
-        welded = first[place.reshape(-1)]
+        welded = _first_there(verts)
         neighbour = mesh_neighbours(len(verts), welded[faces])[welded]
         own = np.arange(len(verts))[:, None]
         length = np.linalg.norm(verts[neighbour] - verts[:, None], axis=2)
@@ -54,6 +54,17 @@ class Shape:
             np.concatenate([length, twin], axis=1).astype(np.float32),
         )
         return cls(verts, vertex_facing(verts, welded[faces])[welded], graph, faces)
+
+    def fitted(self, onto: Shape, reach: float, tick: Tick = silent) -> Shape:
+        """The shape brought onto another one, see `align`; reach: a share of its diagonal."""
+        points, facing = self.points, self.facing
+        if self.faces is not None:
+            points, facing = _spread(self)
+        way = reach * float(np.linalg.norm(np.ptp(self.points, axis=0)))
+        matrix = align(points, facing, onto.points, onto.facing, way, tick)
+        rotation = matrix[:3, :3] / np.cbrt(np.linalg.det(matrix[:3, :3]))
+        moved = self.points @ matrix[:3, :3].T + matrix[:3, 3]
+        return Shape(moved, self.facing @ rotation.T, self.graph, self.faces)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +85,7 @@ def transfer(
     reach: float = REACH,
     angle: float = ANGLE,
     inpaint: bool = True,
+    fit: bool = False,
     tick: Tick = silent,
 ) -> Transferred:
     """Weights of `source` (M, B), rows of any sum, for `target`, which lies in the same place in the same pose.
@@ -82,7 +94,7 @@ def transfer(
     further than `reach`, a share of the source's diagonal, or faces another way by more than `angle` degrees, such as
     a thigh behind a hand, it takes the harmonic continuation of the others' weights over the target's graph instead
     (Abdrashitov et al. 2023, with Laplace's equation, whose solution has no negative weights). Without `inpaint` all
-    keep what is nearest.
+    keep what is nearest. With `fit` the source is first brought onto the target, see `align`.
 
     Raises:
         InputError: the source has no weights, or lies elsewhere: nothing matches.
@@ -90,10 +102,12 @@ def transfer(
     weights = np.asarray(weights, np.float32)
     if not (weights.sum(axis=1) > 1e-6).any():
         raise InputError("The source has no weights for these bones; give it some, or rename its groups.")
+    if fit:
+        source = source.fitted(target, reach, stretch(tick, 0.0, 0.2))
     if source.faces is None:
         found = among_points(
             target.points, target.facing, source.points, source.facing, weights, reach=reach, angle=angle,
-            tick=stretch(tick, 0.0, 0.5),
+            tick=stretch(tick, 0.2, 0.5),
         )  # fmt: skip
     else:
         found = on_surface(
@@ -119,6 +133,30 @@ def _inpainted(found: Match, target: Shape, inpaint: bool, tick: Tick) -> Transf
             target.points[empty], None, target.points[found.sure], None, weights[found.sure], nearest=1
         ).weights
     return Transferred(weights, found.sure, alone)
+
+
+def _spread(mesh: Shape, count: int = 20_000) -> tuple[Array, Array]:
+    """Points (C, 3) spread over a mesh by area, and their facing (C, 3)."""
+    faces = np.asarray(mesh.faces)
+    corner = mesh.points[faces]
+    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    rng = np.random.default_rng(0)
+    place = (np.arange(count) + rng.random(count)) / count * area.sum()
+    face = np.searchsorted(np.cumsum(area), place).clip(0, len(faces) - 1)
+    root, other = np.sqrt(rng.random(count)), rng.random(count)
+    bary = np.stack([1 - root, root * (1 - other), root * other], axis=1)
+    return tuple(np.einsum("nk,nkd->nd", bary, values[faces[face]]) for values in (mesh.points, mesh.facing))
+
+
+def _first_there(points: Array) -> Array:
+    """(N,) for each of points (N, 3) the first that is in exactly the same place."""
+    order = np.lexsort((np.arange(len(points)), *points.T))
+    ordered = points[order]
+    fresh = np.ones(len(points), bool)
+    fresh[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    out = np.empty(len(points), np.int64)
+    out[order] = order[fresh][np.cumsum(fresh) - 1]
+    return out
 
 
 def _without_contacts(graph: BodyGraph, facing: Array) -> BodyGraph:
