@@ -61,6 +61,10 @@ class WeightEdit:
         """
         raise NotImplementedError
 
+    def done(self, count: int) -> str:
+        """What is said of the number of changed splats."""
+        return f"Weights of {count:,} splats changed"
+
     def words(self) -> str:
         """What is to be said besides the number of splats that changed."""
         return ""
@@ -117,12 +121,16 @@ class WeightEdit:
                 # Weights can only be read and written outside it.
                 context.view_layer.objects.active = splats
                 bpy.ops.object.mode_set(mode="OBJECT")
-            self._steps = iter_edit_weights(splats, self.changes(splats, selected), self.reached(splats, selected))
+            self._steps = self.steps(context, splats, selected)
         except GSkinError as error:
             self._restore(splats)
             self.report({"ERROR"}, error.plain)
             return False
         return True
+
+    def steps(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Array | None) -> Steps[int]:
+        """The work in slices, of which only the last changes the scene; gives the number of splats changed."""
+        return iter_edit_weights(splats, self.changes(splats, selected), self.reached(splats, selected))
 
     def reached(self, splats: bpy.types.Object, selected: Array | None) -> Array | None:
         """Splats (N,) bool that may change; None for all."""
@@ -135,7 +143,7 @@ class WeightEdit:
             return {"CANCELLED"}
         splats = chosen_splats(context)
         shared = said_of(splats, self._sharers) if count and splats is not None else ""
-        self.report({"INFO"}, "; ".join(filter(None, (f"Weights of {count:,} splats changed", self.words(), shared))))
+        self.report({"INFO"}, "; ".join(filter(None, (self.done(count), self.words(), shared))))
         return {"FINISHED"}
 
     def _leave(self, context: bpy.types.Context) -> None:

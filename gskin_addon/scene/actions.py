@@ -153,10 +153,10 @@ def choose_part(obj: bpy.types.Object, name: str, slot: str | None = None) -> Pa
     if len(preferred) > 1:
         slots = ", ".join(f"'{part.slot.name_display}'" for part in preferred)
         raise InputError(f"The action '{name}' has several slots that fit '{obj.name}': {slots}; choose with --slot.")
-    others = [] if slot is not None else rivals(preferred[0], obj)
-    if others:
+    owners = [] if slot is not None else rivals(preferred[0], obj)
+    if owners:
         raise InputError(
-            f"The action '{name}' fits '{obj.name}' and {' and '.join(others)}, and Blender before 4.4 does not keep "
+            f"The action '{name}' fits '{obj.name}' and {' and '.join(owners)}, and Blender before 4.4 does not keep "
             "whose it is; assign it to its armature, save the file, and try again."
         )
     return preferred[0]

@@ -95,6 +95,7 @@ def _build(group: bpy.types.NodeTree) -> None:
         "NodeGroupOutput",
         {"Geometry": tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")},
     )
+    tree.lay_out()
 
 
 def _geometry(tree: Tree, obj: Any, space: str) -> Any:
@@ -128,9 +129,7 @@ def _with_maps(tree: Tree, mesh: Any) -> Any:
     columns = []
     for k in range(3):
         added = combine(tree, seen, [parts[k] for parts in coefficients])
-        node = tree.node(
-            "GeometryNodeAccumulateField", {0: added}, data_type="FLOAT_VECTOR", domain="CORNER"
-        )
+        node = tree.node("GeometryNodeAccumulateField", {0: added}, data_type="FLOAT_VECTOR", domain="CORNER")
         tree.connect(vertex, next(s for s in node.inputs if s.name.startswith("Group") and s.enabled))
         columns.append(tree.output(node, "Total"))
     stored = [f"gskin:t_{k}" for k in range(3)]

@@ -80,6 +80,7 @@ def _build(group: bpy.types.NodeTree, bendy: bool) -> None:
     # The conditions are single values: what is not asked for is not computed.
     more = choose(tree, tree.math("GREATER_THAN", odd, RIGID), scaled, made[1], "GEOMETRY")
     tree.node("NodeGroupOutput", {"Geometry": choose(tree, uneven, made[0], more, "GEOMETRY")})
+    tree.lay_out()
 
 
 def _scaled(tree: Tree, turned: Any, factor: Any) -> Any:

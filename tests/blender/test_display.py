@@ -19,13 +19,14 @@ from gskin_addon.core.rig.quaternion import quat_to_matrix
 from gskin_addon.core.splats.cloud import SH_C0, SplatCloud
 from gskin_addon.scene import names
 from gskin_addon.scene.attributes import read_attribute, read_positions
+from gskin_addon.scene.display_inputs import NATIVE, OCTAHEDRA
+from gskin_addon.scene.display_nodes import VIEWPORT_SIGMAS
 from gskin_addon.scene.native_nodes import has_native_splats
 from gskin_addon.scene.node_builder import get_input, set_input
 from gskin_addon.scene.node_groups import (
-    NATIVE,
-    OCTAHEDRA,
-    VIEWPORT_SIGMAS,
     add_display,
+    display_group,
+    display_steps,
     find_display,
     get_display,
     set_display,
@@ -199,7 +200,30 @@ def test_one_group_and_one_modifier_however_often():
     add_display(first)
     assert len(first.modifiers) == 1
     assert first.modifiers[0].node_group == second.modifiers[0].node_group
-    assert len(bpy.data.node_groups) == 1
+    kinds = [group["gskin_group"] for group in bpy.data.node_groups]
+    assert len(kinds) == len(set(kinds))
+
+
+def test_the_nodes_are_built_in_small_slices():
+    """Blender looks at a whole tree after each node and link, so that one tree of 470 nodes took it a second."""
+    most, steps = 0, display_steps()
+    before = 0
+    for _ in steps:
+        now = sum(len(group.nodes) for group in bpy.data.node_groups)
+        most, before = max(most, now - before), now
+    assert max(len(group.nodes) for group in bpy.data.node_groups) <= 100
+    assert 0 < most <= 100
+    assert sum(len(group.nodes) for group in bpy.data.node_groups) - before <= 100
+    places = [tuple(node.location) for node in display_group().nodes]
+    assert len(set(places)) == len(places), "nodes lie upon one another"
+
+
+def test_an_import_that_ends_early_leaves_no_display_half_built():
+    steps = display_steps()
+    next(steps)
+    steps.close()
+    whole = create_splat_object(clouds.random_cloud(5, 0), "S")
+    assert len(drawn(whole).polygons) > 0
     assert len(bpy.data.materials) == 2
 
 

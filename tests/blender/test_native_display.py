@@ -14,8 +14,9 @@ import gskin_addon
 from gskin_addon.core.splats.cloud import SH_C0, SplatCloud
 from gskin_addon.scene import names
 from gskin_addon.scene.attributes import read_attribute, read_positions
+from gskin_addon.scene.display_inputs import BY_SHADER, NATIVE
 from gskin_addon.scene.native_nodes import NUDGE, has_native_splats
-from gskin_addon.scene.node_groups import BY_SHADER, NATIVE, find_display, get_display, set_display
+from gskin_addon.scene.node_groups import find_display, get_display, set_display
 from gskin_addon.scene.posing import posed_cloud
 from gskin_addon.scene.rotation_nodes import find_rotation
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud, to_world

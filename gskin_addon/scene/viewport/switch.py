@@ -10,8 +10,9 @@ from collections.abc import Iterator
 
 import bpy
 
+from ..display_inputs import BY_SHADER, NATIVE
 from ..node_builder import get_input, has_input, set_input
-from ..node_groups import BY_SHADER, NATIVE, find_display
+from ..node_groups import find_display
 from ..splat_object import is_splat_object
 
 OTHER_MODES = {"EDIT", "WEIGHT_PAINT", "VERTEX_PAINT", "TEXTURE_PAINT", "SCULPT"}
