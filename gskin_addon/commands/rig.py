@@ -77,7 +77,10 @@ def run(options: argparse.Namespace) -> None:
     from .save import save_rigged
 
     rig_files.empty_scene()
-    armature = rig_files.import_armature(options.armature, options.armature_name)
+    doubts: list[str] = []
+    armature = rig_files.import_armature(options.armature, options.armature_name, doubts)
+    for sentence in doubts:
+        print_message(f"Warning: {sentence}")
     for path in unheard_drivers(needed_objects(armature)):
         print_message(f"The driver of {path} needs Python, which no file may run here; its value stays as it is.")
     skeleton = read_skeleton(armature)

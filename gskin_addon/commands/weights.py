@@ -48,6 +48,7 @@ def run(options: argparse.Namespace) -> None:
     from ..scene import rig_files
     from ..scene.armature import deform_bone_names
     from ..scene.bone_frames import armature_of
+    from ..scene.single_user import said_of, sharers
     from ..scene.steps import run_to_end
     from ..scene.weight_edits import iter_edit_weights
 
@@ -62,13 +63,15 @@ def run(options: argparse.Namespace) -> None:
     for name in options.lock:
         _column(name, bones, "--lock")
     selected = _selection(options, obj, bones)
-    body = _Body(obj, armature)
+    body, others = _Body(obj, armature), sharers(obj)
     for option, value in options.changes:
         change, reached = _change(option, value, body, bones, selected, options.rim)
         count = run_to_end(iter_edit_weights(obj, change, reached, lock=options.lock))
         words = f"--{option.replace('_', '-')}: weights of {count:,} splats changed"
         print_message("; ".join([words, *body.notes]) + ".")
         body.notes.clear()
+    if len(sharers(obj)) < len(others):
+        print_message(f"{said_of(obj, others)}.")
     if options.weights is not None:
         from ..scene.save_weights import save_weights
 

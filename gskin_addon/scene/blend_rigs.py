@@ -21,8 +21,10 @@ _DRAWN = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
 Choose = Callable[[list[bpy.types.Object]], bpy.types.Object]
 
 
-def append_rig(path: Path, choose: Choose) -> bpy.types.Object:
+def append_rig(path: Path, choose: Choose, notes: list[str] | None = None) -> bpy.types.Object:
     """Append the armature that `choose` takes from those of a .blend file, and what moves it; nothing else stays.
+
+    `notes` gets sentences about actions that are left out because they may be another armature's as well.
 
     All of it is local afterwards and in the scene, which gets the file's frame, frame range and rate. Raises OSError,
     RuntimeError or ValueError where the file cannot be read, InputError as `choose` does and where a library is
@@ -47,7 +49,9 @@ def append_rig(path: Path, choose: Choose) -> bpy.types.Object:
         _realize(instance, needed)
         needed = needed_objects(armature)
     _take_over_scene(armature if instance is None else instance, scenes)
-    drop_foreign([action for action in target.actions if action is not None], needed)
+    doubts = drop_foreign([action for action in target.actions if action is not None], needed)
+    if notes is not None:
+        notes += doubts
     for action in bpy.data.actions:
         action.use_fake_user = True
     keep_only(needed, [obj for obj in bpy.data.objects if obj not in before])

@@ -25,6 +25,9 @@ Array = NDArray[Any]
 STEP = 1e-3
 """Displacement of finite differences, as a part of the splats' extent: 32-bit coordinates leave 1e-4 of the map."""
 
+NO_BENDS = "glTF has no bendy bones"
+"""How the sentence about them begins."""
+
 _OURS = (names.ROTATION_MODIFIER, names.DISPLAY_MODIFIER, names.ANCHOR_MODIFIER)
 
 
@@ -83,14 +86,17 @@ def bendy_bones(obj: bpy.types.Object) -> list[str]:
     return [bone.name for bone in bones if bone.use_deform and bone.bbone_segments > 1 and bone.name in groups]
 
 
-def lost_in_gltf(obj: bpy.types.Object) -> list[str]:
-    """Sentences about what moves the splats here, and has no word in glTF."""
+def lost_in_gltf(obj: bpy.types.Object, *, segments: bool = False) -> list[str]:
+    """Sentences about what moves the splats here, and has no word in glTF.
+
+    segments: those of bendy bones are joints in the file (`gltf_bends.py`).
+    """
     found = []
-    bendy = bendy_bones(obj)
+    bendy = [] if segments else bendy_bones(obj)
     if bendy:
         named = ", ".join(f"'{name}'" for name in bendy[:3]) + (", ..." if len(bendy) > 3 else "")
         found.append(
-            f"glTF has no bendy bones: {len(bendy)} that move '{obj.name}' ({named}) are without segments in it, and "
+            f"{NO_BENDS}: {len(bendy)} that move '{obj.name}' ({named}) are without segments in it, and "
             "what bends along them is straight."
         )
     reasons = beyond_linear_blending(obj)

@@ -9,7 +9,7 @@ from typing import Any
 
 import bpy
 
-from .actions import Part, assign, belongs, own_parts, parts_of
+from .actions import Part, assign, belongs, is_own, own_parts, parts_of
 from .dependencies import is_animated, needed_objects
 
 _companions: dict[bpy.types.Object, list[bpy.types.Object]] = {}
@@ -55,7 +55,7 @@ def keep_own(obj: bpy.types.Object, gathered: Any) -> None:
     if isinstance(gathered.actions if hasattr(gathered, "actions") else None, dict):
         for action_key, datas in list(gathered.actions.items()):
             for data in datas:
-                data.slots = [slot for slot in data.slots if belongs(Part(data.action, slot.slot), obj)]
+                data.slots = [slot for slot in data.slots if is_own(Part(data.action, slot.slot), obj)]
             left = [data for data in datas if data.slots]
             if not left:
                 del gathered.actions[action_key]
@@ -64,7 +64,7 @@ def keep_own(obj: bpy.types.Object, gathered: Any) -> None:
             if len(left) == 1:
                 left[0].name = left[0].action.name  # it was told from others' clips of the same action
     else:  # before Blender 4.4
-        gathered.blender_actions = [action for action in gathered.blender_actions if belongs(Part(action), obj)]
+        gathered.blender_actions = [action for action in gathered.blender_actions if is_own(Part(action), obj)]
 
 
 def play_companions(obj: bpy.types.Object, action: bpy.types.Action) -> None:

@@ -23,9 +23,11 @@ from ..core.files import replaced
 from ..core.splats import gltf
 from ..core.splats.axes import rotate_cloud
 from ..core.splats.cloud import SplatCloud
+from .actions import left_to_guess
 from .bone_frames import armature_of
-from .deform_stack import lost_in_gltf
+from .deform_stack import NO_BENDS, lost_in_gltf
 from .fabric import bring_fabrics_back, lay_fabrics_aside
+from .gltf_bends import bends_as_joints, can_be_joints
 from .gltf_clips import clips_of, keep_own, play_companions
 from .splat_object import is_splat_object, read_cloud
 from .visibility import shown
@@ -104,8 +106,11 @@ class SplatExport:
             if export_settings["gltf_yup"]:
                 cloud = rotate_cloud(cloud, gltf.blender_to_gltf())
             _add_splats(gltf2_mesh, cloud)
-            for sentence in lost_in_gltf(self._object):
-                export_settings["log"].warning(sentence)
+            armature = armature_of(self._object)
+            doubts = [] if armature is None else left_to_guess(armature)
+            for sentence in doubts + lost_in_gltf(self._object):
+                ours = " GSkin's own export has them as joints." if sentence.startswith(NO_BENDS) else ""
+                export_settings["log"].warning(sentence + ours)
         except GSkinError as error:
             export_settings["log"].error(error.plain, popup=True)
             _failures.append(error)
@@ -150,6 +155,7 @@ def export_glb(
             _discoverable(),
             nodes_hidden(),
             clips_of(armatures, posed=posed, animations=animations) as options,
+            bends_as_joints(objects) as most,
         ):
             _failures.clear()
             bpy.ops.export_scene.gltf(
@@ -162,7 +168,7 @@ def export_glb(
                 use_mesh_vertices=True,
                 export_skins=True,
                 export_all_influences=False,
-                export_influence_nb=4,
+                export_influence_nb=max(4, most + -most % 4),  # whole sets: it counts the last one's empty places
                 export_def_bones=deform_bones_only,
                 export_morph=False,
                 export_animations=animations,
@@ -180,7 +186,15 @@ def export_glb(
         # The exporter moves to frame 0 and stays there when it fails.
         if bpy.context.scene.frame_current != frame:
             bpy.context.scene.frame_set(frame)
-    return [sentence for obj in objects if is_splat_object(obj) for sentence in lost_in_gltf(obj)]
+    doubts = [sentence for armature in armatures if animations for sentence in left_to_guess(armature)]
+    if most > 4:
+        doubts.append(
+            f"Segments of bendy bones are joints in '{path.name}', up to {most} for a splat (JOINTS_1); viewers that "
+            "read four show such splats a little off."
+        )
+    splats = [obj for obj in objects if is_splat_object(obj)]
+    lost = [(obj, armature_of(obj)) for obj in splats]
+    return doubts + [s for obj, rig in lost for s in lost_in_gltf(obj, segments=rig is None or can_be_joints(rig))]
 
 
 def _seen(objects: Sequence[bpy.types.Object]) -> Sequence[bpy.types.Object]:

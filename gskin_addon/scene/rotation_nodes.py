@@ -21,9 +21,9 @@ from .node_algebra import parts
 from .node_builder import Input, Tree, add_modifier, find_group, function_group, geometry_group, get_input, set_input
 from .stretch_nodes import influences, stretched_splats
 
-VERSIONS = {False: 3, True: 4}
+VERSIONS = {False: 5, True: 6}
 """Of the group, without and with what bendy bones need: it takes a third of a second to build."""
-GROUPS = 1
+GROUPS = 2
 """Version of the groups inside."""
 FRAMES_INPUT = "Bone Frames"
 

@@ -103,6 +103,9 @@ class GSKIN_PT_weights(_Child, bpy.types.Panel):
             for operator, text in pair:
                 row.operator(operator, text=tr(text, BUTTON))
         row = column.row(align=True)
+        row.operator("gskin.transfer_weights", icon="IMPORT")
+        row.operator("gskin.transfer_weights_to_mesh", text="To Mesh", icon="EXPORT")
+        row = column.row(align=True)
         row.operator("gskin.separate_parts", icon="MOD_EDGESPLIT")
         row.operator("gskin.select_seams", text="", icon="RESTRICT_SELECT_OFF")
         row.operator("gskin.clear_seams", text="", icon="X")

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from ..guidance import NO_GUIDANCE
 from ..job.settings import JobSettings
-from ..render.camera import PAPER_AZIMUTHS
 from ..skinning.subset import LIMIT
 from .eta import Eta
 from .work_kinds import default_kinds, rendering_kinds
@@ -28,7 +27,7 @@ def estimate_seconds(settings: JobSettings, splats: int, bones: int) -> float | 
         kinds, start = default_kinds(splats), STARTING
     else:
         learned = min(splats, LIMIT)
-        kinds = rendering_kinds(settings.guidance, settings.preset, len(PAPER_AZIMUTHS), learned, bones)
+        kinds = rendering_kinds(settings, learned, bones)
         start = STARTING + LOADING_TORCH
     return start + Eta(_silent, kinds).seconds_left()
 

@@ -17,7 +17,7 @@ def test_more_splats_bones_and_images_take_longer():
         return estimate_seconds(JobSettings(**settings), splats, bones)
 
     assert 1 < seconds(1000) < seconds() < seconds(400_000) < 60
-    guided = [seconds(guidance="elastic", preset=name) for name in ("draft", "standard", "high", "paper")]
+    guided = [seconds(guidance="elastic", preset=name) for name in ("draft", "standard", "high", "thorough", "paper")]
     assert seconds() < guided[0]
     assert guided == sorted(guided)
     assert seconds(guidance="elastic", bones=100) > seconds(guidance="elastic")

@@ -67,6 +67,8 @@ def test_fit_is_the_papers_warm_up():
     limb = make_limb(400)
     start = disturbed(limb)
     field = WeightVolume(limb.cloud.means, start, 16, 64, start="fit", fit_steps=300)
+    told = field.fit()
+    assert 0 < told["steps"] <= 300
     assert float(field._prior.abs().max()) == 0
     assert np.abs(field().detach().numpy() - start).mean() < 0.06  # the steps in them are 0.7 high
 
