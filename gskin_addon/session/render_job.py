@@ -178,7 +178,7 @@ class RenderJob:
             drawn = [read_drawn(obj, depsgraph) for obj in splats]
             triangles = read_triangles(depsgraph, splats if self.hold_out else list(view_layer.objects))
         frame = Frame(drawn, camera, triangles, far)
-        return _drawn_here(frame) if self.on_gpu and not self.depth else frame
+        return drawn_by_shader(frame) if self.on_gpu and not self.depth else frame
 
     def _keep(self) -> None:
         """The process has written the frame in hand."""
@@ -205,8 +205,8 @@ class RenderJob:
         return scene, view_layer
 
 
-def _drawn_here(frame: Frame) -> Frame:
-    """The frame as drawn by the 3D view's shader; the other process has only to write it."""
+def drawn_by_shader(frame: Frame) -> Frame:
+    """The frame as drawn by the 3D view's shader; the other process has only to write it. Needs a GPU context."""
     from ..scene.viewport.drawing import draw_splats
 
     camera = frame.camera

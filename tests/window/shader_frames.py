@@ -28,7 +28,7 @@ from gskin_addon.core.render.frame import Frame, draw_frame
 from gskin_addon.core.splats.axes import rotate_cloud, up_rotation
 from gskin_addon.core.splats.cloud import SplatCloud
 from gskin_addon.core.splats.formats import read_splats
-from gskin_addon.session.render_job import _drawn_here
+from gskin_addon.session.render_job import drawn_by_shader
 
 LEAST = 40.0
 """dB of colour and alpha, premultiplied."""
@@ -79,7 +79,7 @@ def main() -> int:
         for behind, triangles in (("", np.zeros((0, 3, 3), np.float32)), (", behind others", walls(cloud))):
             frame = Frame(splats, camera, triangles, 100.0)
             wanted, hidden = draw_frame(frame)
-            got, same = draw_frame(_drawn_here(frame))
+            got, same = draw_frame(drawn_by_shader(frame))
             assert (hidden == same).all()
             error = np.concatenate([got.color - wanted.color, (got.alpha - wanted.alpha)[..., None]], axis=2)
             near = float(-10.0 * np.log10(np.mean(error**2)))
