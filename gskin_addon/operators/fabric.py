@@ -19,6 +19,7 @@ class GSKIN_OT_make_paintable(Sliced, bpy.types.Operator):
 
     bl_idname = "gskin.make_paintable"
     bl_label = "Make Splats Paintable"
+    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -27,13 +28,23 @@ class GSKIN_OT_make_paintable(Sliced, bpy.types.Operator):
             return False
         return True
 
-    def begin(self, context: bpy.types.Context, splats: bpy.types.Object) -> Steps[int]:
-        self.leave_edit_mode(context, splats)
-        return iter_make_fabric(splats)
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.asked = True
+        return self.execute(context)
 
-    def finish(self, context: bpy.types.Context, count: int) -> str:
-        name = chosen_splats(context).name
-        return f"{count:,} triangles join the splats of '{name}' for painting and selecting"
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        return self.begin(context)
+
+    def steps(self, context: bpy.types.Context) -> Steps[str]:
+        splats = chosen_splats(context)
+        mode = splats.mode
+        begin_selecting(context, splats)
+        try:
+            count = yield from iter_make_fabric(splats)
+        finally:
+            if splats.mode != mode:
+                bpy.ops.object.mode_set(mode=mode)
+        return f"{count:,} triangles join the splats of '{splats.name}' for painting and selecting"
 
 
 class GSKIN_OT_remove_fabric(bpy.types.Operator):

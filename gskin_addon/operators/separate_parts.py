@@ -15,8 +15,10 @@ from ..scene.armature import read_skeleton
 from ..scene.bone_frames import armature_of
 from ..scene.cleanup import begin_selecting, show_selected
 from ..scene.fabric import cut_fabric
+from ..scene.object_ref import object_by_uid
 from ..scene.seams import read_seams, write_seams
 from ..scene.splat_object import read_cloud
+from ..scene.steps import Steps
 from ..scene.weight_edits import Change, selected_splats
 from ..session.chosen import chosen_splats
 from ._weight_edit import WeightEdit, bone_column, search_bones
@@ -74,10 +76,15 @@ class GSKIN_OT_separate_parts(WeightEdit, bpy.types.Operator):
         """Known when it is done."""
         return self._reached
 
-    def finish(self, context: bpy.types.Context, count: int) -> str:
-        splats = chosen_splats(context)
+    def steps(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Any) -> Steps[int]:
+        uid = splats.session_uid
+        count = yield from super().steps(context, splats, selected)
+        splats = object_by_uid(uid)
         write_seams(splats, self._labels)
         cut_fabric(splats, self._labels)
+        return count
+
+    def done(self, count: int) -> str:
         other = int((self._labels == self._labels.max()).sum())
         return f"{self._marked:,} splats are apart from {other:,} that they touch; weights of {count:,} were freed"
 
