@@ -176,6 +176,10 @@ class Hands:
             words += ["mousemove", *map(str, point), "sleep", "0.05"]
         yield from self._run("xdotool", *words, "sleep", "0.2", "mouseup", "1")
 
+    def wheel(self, notches: int) -> Story:
+        """Turn the mouse wheel down."""
+        yield from self._run("xdotool", "click", "--repeat", str(notches), "--delay", "60", "5")
+
     def shoot(self, name: str) -> Story:
         """A picture of the whole screen."""
         path = str(self.out / f"{name}.png")
