@@ -41,7 +41,8 @@ def keep_apart(
     labels, means = np.asarray(labels), np.asarray(means, np.float64)
     out = np.array(weights, np.float32)
     lost = np.zeros(len(out), np.float32)
-    for rows, barred in _barred(out, means, labels, skeleton, bones or {}):
+    denied = [*_barred(out, means, labels, skeleton, bones or {})]
+    for rows, barred in denied:
         lost[rows] = out[np.ix_(rows, barred)].sum(axis=1)
         out[np.ix_(rows, barred)] = 0
     changed, open_ = lost > 0, lost > LOST
@@ -53,6 +54,13 @@ def keep_apart(
         part = np.flatnonzero((means >= low).all(axis=1) & (means <= high).all(axis=1))
         filled, alone = follow_neighbours(out[part], body_graph(means[part], walls=labels[part]), open_[part])
         out[part[open_[part]]] = filled[open_[part]]
+        # Splats beside the seam that have no label may still follow what is denied here.
+        for rows, barred in denied:
+            rows = rows[open_[rows]]
+            mine = out[rows]
+            mine[:, barred] = 0
+            left = mine.sum(axis=1, keepdims=True)
+            out[rows] = np.where(left > 1e-6, mine / np.maximum(left, 1e-6), out[rows])
         # What stands alone with nothing left of its own keeps what it had.
         bare = part[alone & (total[part] <= 1e-6)]
         out[bare], changed[bare] = weights[bare], False

@@ -41,9 +41,10 @@ def separate(
     """Labels (N,) int64 as walls, see `walls`, with a seam between the selected splats and the foreign ones they touch.
 
     The selection is one side. The other side is every splat within `reach` of it that belongs to bones at least `FAR`
-    steps from the selection's: what holds the selection stays without a label, so that it keeps its hold. Weights alone
-    do not say what a splat belongs to, since they are what is wrong here: where they and the places of the bones do not
-    agree, the way along the body to splats where they do decides, none of it through the selection.
+    steps from the selection's: what holds the selection stays without a label, so that it keeps its hold. Weights of
+    the selection's bones do not say that a splat belongs to them, since such weights are what is wrong here: where they
+    and the places of the bones do not agree, the way along the body to splats where they do decides, none of it through
+    the selection.
 
     means (N, 3) metres; weights (N, B) of the splats now; selected (N,) bool; reach in metres, 0 for `REACH`; bone:
     that which the selection is to follow, by default the one that most of it follows; sides (N,): labels of earlier
@@ -95,7 +96,8 @@ def _foreign(
     points = means[rows]
     to_near, to_far = (_distance(points, segments, outside & side) for side in (~far, far))
     share = np.asarray(weights[rows])[:, far].sum(axis=1)
-    theirs = (to_far * _SURE < to_near) | ((share >= _CLEAR) & (to_far <= to_near))
+    # What leaks is the weight of the selection's bones; what follows others is hardly ever wrong.
+    theirs = (to_far * _SURE < to_near) | (share >= _CLEAR)
     ours = (to_near * _SURE < to_far) | ((share <= 1 - _CLEAR) & (to_near <= to_far))
     ours &= ~theirs
     graph = body_graph(points)
