@@ -86,13 +86,12 @@ class Painting:
 
     def there_and_back(self, what: str, before: np.ndarray) -> Story:
         """Control-Z takes it away, Control-Shift-Z brings it back; it is taken away in the end."""
-        after = self.weights()
-        yield from self.keys("ctrl+z")
-        yield self.stage.soon(lambda: np.array_equal(self.weights(), before), 8.0)
-        self.stage.check(f"{what}: undo", np.array_equal(self.weights(), before), self.splats.mode)
-        yield from self.keys("ctrl+shift+z")
-        yield self.stage.soon(lambda: np.array_equal(self.weights(), after), 8.0)
-        self.stage.check(f"{what}: redo", np.array_equal(self.weights(), after), self.splats.mode)
+        after, mode = self.weights(), self.splats.mode
+        for word, keys, wanted in (("undo", "ctrl+z", before), ("redo", "ctrl+shift+z", after)):
+            yield from self.keys(keys)
+            yield self.stage.soon(lambda wanted=wanted: np.array_equal(self.weights(), wanted), 8.0)
+            good = np.array_equal(self.weights(), wanted) and self.splats.mode == mode
+            self.stage.check(f"{what}: {word}", good, self.splats.mode)
 
     def keys(self, *names: str) -> Story:
         """Keys with the mouse over the figure."""
@@ -216,7 +215,7 @@ def switch(stage: Stage, painting: Painting, mode: str) -> Any:
     """Change the mode; returns the seconds until it is drawn."""
     began = time.monotonic()
     with painting.view.override():
-        bpy.ops.object.mode_set(mode=mode)
+        bpy.ops.object.mode_set("EXEC_DEFAULT", True, mode=mode)  # True: with an undo step, as from the menu
     painting.view.area.tag_redraw()
     yield lambda: painting.drawn and painting.drawn[-1] > began
     took = time.monotonic() - began
