@@ -47,10 +47,20 @@ from .operators import (
     smooth_weights,
     standard_view,
 )
-from .scene import fabric_view, follow_display, follow_transforms, handlers, helpers, webp_images
+from .scene import (
+    fabric_renewal,
+    fabric_view,
+    follow_display,
+    follow_transforms,
+    handlers,
+    helpers,
+    leftovers,
+    parted,
+    webp_images,
+)
 from .scene.viewport import following as viewport_following
 from .scene.viewport import handler as viewport_handler
-from .session import guidance_settings, live_pictures, properties, render_settings, running_job
+from .session import deleted, guidance_settings, live_pictures, properties, render_settings, running_job
 from .ui import job_presets as job_presets_menu
 from .ui import manual, panel, preferences, render_panel, splat_panels, translations
 
@@ -62,6 +72,7 @@ MODULES = (
     guidance_settings,
     properties,
     render_settings,
+    deleted,
     running_job,
     live_pictures,
     preferences,
@@ -108,6 +119,7 @@ MODULES = (
     render_panel,
     splat_panels,
     manual,
+    parted,
     handlers,
     helpers,
     follow_transforms,
@@ -115,6 +127,8 @@ MODULES = (
     viewport_handler,
     viewport_following,
     fabric_view,
+    fabric_renewal,
+    leftovers,
 )
 
 

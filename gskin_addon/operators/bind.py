@@ -12,7 +12,6 @@ from bpy_extras.io_utils import ImportHelper
 from ..core.errors import GSkinError
 from ..core.rig.weights_file import read_weights_file
 from ..scene.binding import bind, check_splats
-from ..scene.bone_frames import armature_of
 from ..scene.influences import splats_without_bones
 from ..scene.single_user import own_mesh, said_of, sharers
 from ..scene.splat_object import splat_count
@@ -95,30 +94,6 @@ class GSKIN_OT_bind_to_armature(bpy.types.Operator):
         return {"FINISHED"}
 
 
-class GSKIN_OT_update_rotation_weights(bpy.types.Operator):
-    """Take changed vertex groups over into the rotation of the splats. Leaving Weight Paint does it by itself"""
-
-    bl_idname = "gskin.update_rotation_weights"
-    bl_label = "Update Splat Rotation Weights"
-    bl_options = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        splats = chosen_splats(context)
-        if splats is None or armature_of(splats) is None:
-            cls.poll_message_set("Select splats that follow an armature")
-            return False
-        return _not_edited(cls, context)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        try:
-            update_rotation_weights(chosen_splats(context))
-        except GSkinError as error:
-            self.report({"ERROR"}, error.plain)
-            return {"CANCELLED"}
-        return {"FINISHED"}
-
-
 def _has_both(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
     if chosen_splats(context) is None:
         operator.poll_message_set("Select a splat object; import one with File > Import > Gaussian Splats")
@@ -136,4 +111,4 @@ def _not_edited(operator: type[bpy.types.Operator], context: bpy.types.Context) 
     return True
 
 
-CLASSES = (GSKIN_OT_load_weights, GSKIN_OT_bind_to_armature, GSKIN_OT_update_rotation_weights)
+CLASSES = (GSKIN_OT_load_weights, GSKIN_OT_bind_to_armature)

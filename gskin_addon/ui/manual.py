@@ -21,8 +21,7 @@ MAPPING = (
     ("bpy.ops.gskin.import_splats*", f"{_BUTTONS}#import"),
     ("bpy.ops.gskin.export_glb*", f"{_BUTTONS}#export"),
     *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#weights") for name in (
-        "load_weights", "save_weights", "bind_to_armature", "update_rotation_weights", "anchor_to_mesh",
-        "release_from_mesh",
+        "load_weights", "save_weights", "bind_to_armature", "anchor_to_mesh", "release_from_mesh",
     )),
     *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#after-a-job") for name in (
         "compare_weights", "pose_rig", "select_unsure_splats",

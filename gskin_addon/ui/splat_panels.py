@@ -97,7 +97,6 @@ class GSKIN_PT_weights(_Child, bpy.types.Panel):
         row.operator("gskin.load_weights", text="Load...", icon="FILE_FOLDER")
         row.operator("gskin.save_weights", text="Save...", icon="FILE_TICK")
         column.operator("gskin.bind_to_armature", icon="LINKED")
-        column.operator("gskin.update_rotation_weights", icon="FILE_REFRESH")
         column.separator()
         for pair in _EDITS:
             row = column.row(align=True)
