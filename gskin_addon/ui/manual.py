@@ -26,6 +26,10 @@ MAPPING = (
     *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#after-a-job") for name in (
         "compare_weights", "pose_rig", "select_unsure_splats",
     )),
+    *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#select") for name in (
+        "select_by_bone", "select_by_color", "select_linked_splats", "grow_splat_selection", "shrink_splat_selection",
+        "select_in_front", "next_unsure_cluster",
+    )),
     *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#clean-up") for name in ("select_bad_splats", "clean_splats")),
     *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#the-check-list") for name in (
         "check_again", "enable_deform", "even_scale", "fix_rig_scale", "center_rig",
