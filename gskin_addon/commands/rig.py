@@ -8,7 +8,8 @@ import contextlib
 import importlib.util
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,11 +33,16 @@ from .console import print_message
 from .job_settings import job_settings, parse_options
 from .paths import check_output, same_file
 from .rig_scale import fit_rig_scale
+from .selection import read_walls
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Array = NDArray[Any]
+
+
+_WALLS = "gskin walls"
+"""Column of the walls' labels while splats are sorted out."""
 
 
 def run(options: argparse.Namespace) -> None:
@@ -48,8 +54,9 @@ def run(options: argparse.Namespace) -> None:
     for given in (options.armature, options.splats, *([options.mesh] if options.mesh else [])):
         if same_file(given, options.out):
             raise InputError(f"--out '{options.out}' would overwrite its own input; choose another name.")
-    cloud = read_splats(options.splats, options.drop_invalid)
+    cloud = read_splats(options.splats, options.drop_invalid, options.walls)
     cloud = clean(cloud, options.drop_strays, options.max_aspect, options.isotropic)
+    cloud, walls = _without_walls(cloud)
     mesh = None if options.mesh is None else read_proxy(options.mesh, options.mesh_up)
 
     settings = job_settings(options, of_guidance)
@@ -63,12 +70,16 @@ def run(options: argparse.Namespace) -> None:
     from ..scene.dependencies import needed_objects, unheard_drivers
     from ..scene.placement import bring_rig, fits_in_file
     from ..scene.proxy_object import create_mesh_object
+    from ..scene.seams import write_seams
     from ..scene.splat_object import create_splat_object
     from ..session.skin_job import SkinJob
     from .save import save_rigged
 
     rig_files.empty_scene()
-    armature = rig_files.import_armature(options.armature, options.armature_name)
+    doubts: list[str] = []
+    armature = rig_files.import_armature(options.armature, options.armature_name, doubts)
+    for sentence in doubts:
+        print_message(f"Warning: {sentence}")
     for path in unheard_drivers(needed_objects(armature)):
         print_message(f"The driver of {path} needs Python, which no file may run here; its value stays as it is.")
     skeleton = read_skeleton(armature)
@@ -81,6 +92,7 @@ def run(options: argparse.Namespace) -> None:
     turned = rotate_cloud(cloud, up_rotation(up))
     splats = create_splat_object(turned, options.splats.stem)
     splats.data[names.MARK]["up"] = up
+    write_seams(splats, walls)
     if fits_in_file(turned, read_skeleton(armature)):
         bring_rig(armature, -turned.offset)
         print_message(f"Armature '{armature.name}' stands where the file has the splats, and was moved with them.")
@@ -114,8 +126,11 @@ def run(options: argparse.Namespace) -> None:
     print_message(f"{sentence}{axis}, in '{options.out}'.")
 
 
-def read_splats(path: Path, drop_invalid: bool) -> SplatCloud:
-    """The splats of a file with its own axes; says how many were dropped."""
+def read_splats(path: Path, drop_invalid: bool, walls: Sequence[Path] = ()) -> SplatCloud:
+    """The splats of a file with its own axes; says how many were dropped.
+
+    walls: files of marked splats, by their rows in the file, see `read_walls`; their labels are an extra column.
+    """
     if formats.find_format(path) is formats.FORMATS["sog"]:
         _find_webp_decoder()
     splats = formats.read_splats(path, drop_invalid=drop_invalid)
@@ -124,7 +139,16 @@ def read_splats(path: Path, drop_invalid: bool) -> SplatCloud:
         print_message(f"'{path}': {dropped:,} invalid splats of {splats.total:,} were left out.")
     for note in splats.cloud.notes:
         print_message(f"'{path}': {note}.")
+    if walls:
+        labels = read_walls(walls, splats.total)[splats.kept]
+        return replace(splats.cloud, extra={**splats.cloud.extra, _WALLS: labels})
     return splats.cloud
+
+
+def _without_walls(cloud: SplatCloud) -> tuple[SplatCloud, Array | None]:
+    """The cloud without the column of walls, and the column."""
+    rest = {name: values for name, values in cloud.extra.items() if name != _WALLS}
+    return replace(cloud, extra=rest), cloud.extra.get(_WALLS)
 
 
 def _find_webp_decoder() -> None:

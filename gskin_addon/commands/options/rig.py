@@ -59,6 +59,15 @@ def add(commands: Any) -> None:
     )
     rig.add_argument("--isotropic", action="store_true", help="make every splat a ball of the same area")
     rig.add_argument(
+        "--walls",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="marked splats, as of gskin weights --select: weights do not go from them to others; given twice or more, "
+        "each FILE is one side of a wall, and splats in none are open to all",
+    )
+    rig.add_argument(
         "--field",
         choices=(PRESET_FIELD, *WEIGHT_FIELDS),
         default=PRESET_FIELD,
