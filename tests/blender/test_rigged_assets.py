@@ -17,7 +17,8 @@ bpy = pytest.importorskip("bpy")
 
 from gskin_addon.commands.import_rigged import PROGRAM
 from gskin_addon.core.errors import InputError
-from gskin_addon.core.training.rigged import read_rigged_mesh
+from gskin_addon.core.training.catalogue import list_assets
+from gskin_addon.core.training.rigged import load_asset, read_rigged_mesh
 from gskin_addon.core.training.textures import to_srgb
 from gskin_addon.scene.rigged_assets import import_rigged
 
@@ -88,8 +89,15 @@ def make_character():
     hat.parent, hat.parent_type, hat.parent_bone = armature, "BONE", "high"
     bpy.context.view_layer.update()
     hat.matrix_world = np.eye(4)
-    armature.pose.bones["high"].rotation_mode = "XYZ"
-    armature.pose.bones["high"].rotation_euler = (1.0, 0.3, 0)  # the pose of the file is not its rest
+    bone = armature.pose.bones["high"]
+    bone.rotation_mode = "XYZ"
+    for name, far in (("Nod", 0.2), ("Bow", 1.2)):
+        armature.animation_data_create().action = bpy.data.actions.new(name)
+        for frame, angle in ((1, 0.0), (24, far)):
+            bone.rotation_euler = (angle, 0.3, 0)
+            bone.keyframe_insert("rotation_euler", frame=frame)
+        armature.animation_data.action.use_fake_user = True
+    bpy.context.scene.frame_set(17)  # the pose of the file is not its rest
     bpy.context.view_layer.update()
     return armature
 
@@ -136,6 +144,27 @@ def test_a_character_of_any_file_is_an_asset(files, ending, tmp_path):
     if ending != "fbx":  # which has no word for materials that show vertex colours
         np.testing.assert_allclose(mesh.corner_rgb[high], to_srgb(np.array(HEAD_TINT)), atol=0.01)
         assert not mesh.textures.colors(high, np.full((len(high), 3), 1 / 3))[0].any()
+
+
+@pytest.mark.parametrize("ending", ["blend", "glb"])
+def test_the_liveliest_clip_comes_along(files, ending):
+    """Weights and matrices give what Blender's own modifier gives, frame by frame."""
+    arrays = import_rigged(files / f"figure.{ending}").arrays
+    assert str(arrays["anim_name"]) == "Bow"
+    body = np.flatnonzero(arrays["part_id"] == np.argmax(np.bincount(arrays["part_id"])))
+    weights = np.zeros((len(arrays["verts"]), 2))
+    weights[arrays["w_row"], arrays["w_col"]] = arrays["w_val"]
+    homogeneous = np.append(arrays["verts"], np.ones((len(weights), 1)), axis=1)
+    obj = max((o for o in bpy.data.objects if o.type == "MESH"), key=lambda o: len(o.data.vertices))
+    first, last = bpy.data.actions["Bow"].frame_range
+    for k in (0, 11, 23):
+        frame = first + (last - first) * k / 23
+        bpy.context.scene.frame_set(int(frame), subframe=frame % 1)
+        evaluated = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+        points = np.array([evaluated.matrix_world @ v.co for v in evaluated.data.vertices])
+        moved = np.einsum("vb,bij,vj->vi", weights, arrays["anim_mats"][k], homogeneous)[body, :3]
+        np.testing.assert_allclose(moved, points, atol=1e-4)
+    assert np.abs(moved - arrays["verts"][body]).max() > 0.5
 
 
 def test_nothing_in_a_file_is_run(files, tmp_path):
@@ -216,6 +245,10 @@ def test_the_command_imports_lists_failures_and_goes_on(files, tmp_path):
     assert (entry["name"], entry["license"], entry["author"], entry["n_bones"]) == ("figure", "CC0", "A. Tester", 2)
     assert entry["color_source"] == "texture"
     assert "broken.glb' cannot be imported" in failure["reason"]
+    (asset,) = list_assets(out)  # as `pairs` and `train-prior` read them
+    splats = load_asset(asset.path, 500)
+    assert splats.clip.shape == (24, 2, 4, 4)
+    assert splats.cloud.base_colors().std(axis=0).min() > 0.05
     before = (out / "npz/figure.npz").stat().st_mtime_ns
     again = call(files / "figure.glb")
     assert again.returncode == 0
