@@ -46,6 +46,7 @@ from .operators import (
     sharpen_weights,
     smooth_weights,
     standard_view,
+    transfer_weights,
 )
 from .scene import fabric_view, follow_display, follow_transforms, handlers, helpers, webp_images
 from .scene.viewport import following as viewport_following
@@ -92,6 +93,7 @@ MODULES = (
     assign_to_bone,
     flood_weights,
     mirror_weights,
+    transfer_weights,
     blend_weights,
     separate_parts,
     fabric,

@@ -95,6 +95,7 @@ def _build(group: bpy.types.NodeTree) -> None:
         "NodeGroupOutput",
         {"Geometry": tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")},
     )
+    tree.lay_out()
 
 
 def _geometry(tree: Tree, obj: Any, space: str) -> Any:

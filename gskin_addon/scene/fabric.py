@@ -7,6 +7,7 @@ what is exported goes without it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import bmesh
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from ..core.skinning.edits.separate import FAR, steps_between
 from ..core.skinning.fabric import fabric_triangles
-from .armature import read_skeleton
+from .armature import deform_bone_names, read_skeleton
 from .attributes import ObjectData
 from .bone_frames import armature_of
 from .influences import strongest_bone
@@ -66,6 +67,14 @@ def iter_triangles(
         far[:-1, :-1] = steps_between(parents) >= FAR
         apart = bone, far
     return (yield from in_thread(lambda: fabric_triangles(cloud, walls=walls, apart=apart)))
+
+
+def strongest_of(weights: Array, bones: Sequence[str], armature: bpy.types.Object) -> Array:
+    """(N,) the deform bone of `armature`, by number, with the most of weights (N, B) of `bones`; -1 for none."""
+    place = {name: number for number, name in enumerate(deform_bone_names(armature))}
+    number = np.array([place.get(name, -1) for name in bones])
+    strongest = weights.argmax(axis=1)
+    return np.where(weights[np.arange(len(weights)), strongest] > 0, number[strongest], -1)
 
 
 def lay_under(obj: bpy.types.Object, triangles: Array) -> None:

@@ -62,6 +62,8 @@ FRAME_JOINT = "gskin:joint"
 FRAME_MAP = "gskin:map"
 FRAME_STRETCH = "gskin:stretch"
 FRAME_INVERSE = "gskin:inverse"
+FRAME_LOCAL = "gskin:local"
+FRAME_ODD = "gskin:odd"
 SHAPE = "gskin:shape"
 
 CONFIDENCE = "gskin:confidence"

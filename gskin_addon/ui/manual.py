@@ -24,6 +24,7 @@ MAPPING = (
         "load_weights", "save_weights", "bind_to_armature", "update_rotation_weights", "anchor_to_mesh",
         "release_from_mesh",
     )),
+    ("bpy.ops.gskin.transfer_weights*", f"{_BUTTONS}#weights-from-another-object"),
     *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#after-a-job") for name in (
         "compare_weights", "pose_rig", "select_unsure_splats",
     )),

@@ -137,8 +137,10 @@ def vertex_transforms(
 def mesh_edges(faces: Array) -> Array:
     """(E, 2) distinct edges, smaller index first, in order."""
     pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
-    pairs = np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1)
-    return np.unique(pairs, axis=0)
+    pairs = np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1).astype(np.int64)
+    # As single numbers: rows would be compared one by one, with Python's lock held, while Blender waits.
+    count = int(pairs.max(initial=0)) + 1
+    return np.stack(np.divmod(np.unique(pairs[:, 0] * count + pairs[:, 1]), count), axis=1)
 
 
 def mesh_neighbours(count: int, faces: Array, most: int = 30) -> Array:

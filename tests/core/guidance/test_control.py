@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -23,6 +25,22 @@ def test_control_points_are_the_displaced_joints():
     np.testing.assert_allclose(handles[0], camera.project(limb.skeleton.tails[2])[0])
     tip = rotations[2] @ (1, 0, 0) + limb.skeleton.heads[2]
     np.testing.assert_allclose(targets[0], camera.project(tip)[0])
+
+
+def test_control_points_are_joints_wherever_the_tails_are():
+    """Tails that an importer made up, here after a hundredth of the limb, are no joints of the paper."""
+    limb = make_limb(200)
+    stubs = replace(limb.skeleton, tails=limb.skeleton.heads + (0.01, 0, 0))
+    camera = paper_views(*limb.cloud.bounds(), 256)[0]
+    rotations = np.tile(np.eye(3), (3, 1, 1))
+    rotations[1] = Rotation.from_rotvec([0, 0.6, 0]).as_matrix()
+    transforms = pose_transforms(limb.skeleton, rotations)
+    handles, targets = control_points(stubs, transforms, camera)
+    honest = control_points(limb.skeleton, transforms, camera)
+    assert len(handles) == 2  # the last joint and the tip; the made-up tails would be two more
+    order, expected = np.argsort(handles[:, 0]), np.argsort(honest[0][:, 0])
+    np.testing.assert_allclose(handles[order], honest[0][expected], atol=1e-6)
+    np.testing.assert_allclose(targets[order], honest[1][expected], atol=1e-6)
 
 
 def test_rest_pose_has_no_control_points():

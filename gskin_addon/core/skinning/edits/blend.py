@@ -71,7 +71,9 @@ def follow_neighbours(weights: Array, graph: BodyGraph, selected: Array, tick: T
     count, k = graph.neighbour.shape
     source = np.repeat(np.arange(count), k)[graph.linked.ravel()]
     edges = np.stack([source, graph.neighbour[graph.linked]], axis=1)
-    edges = np.unique(np.sort(edges[selected[edges].any(axis=1)], axis=1), axis=0)
+    edges = np.sort(edges[selected[edges].any(axis=1)], axis=1)
+    # As single numbers: rows would be compared one by one, with Python's lock held, while Blender waits.
+    edges = np.stack(np.divmod(np.unique(edges[:, 0] * count + edges[:, 1]), count), axis=1)
     piece = connected_components(count, *edges[selected[edges].all(axis=1)].T)
     beside = edges[selected[edges].sum(axis=1) == 1]
     held = np.zeros(count, bool)
