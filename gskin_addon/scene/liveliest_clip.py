@@ -31,7 +31,7 @@ def liveliest_clip(armature: bpy.types.Object) -> tuple[str, Array] | None:
     for action in actions:
         posed = _played(armature, action, _LOOKS)
         tails = posed[..., :3, 3] + posed[..., :3, 1] * lengths[:, None]
-        begin, end = (float(frame) for frame in action.frame_range)
+        begin, end = np.array(action.frame_range).tolist()
         motion = float(np.linalg.norm(np.diff(tails, axis=0), axis=-1).mean()) / max(end - begin, 1.0)
         if motion > most * 1.0001:
             best, most = action, motion
@@ -65,7 +65,7 @@ def _played(armature: bpy.types.Object, action: bpy.types.Action, count: int) ->
         data.action_slot = data.action_suitable_slots[0]
     scene: Any = bpy.context.scene
     matrices = []
-    first, last = (float(frame) for frame in action.frame_range)
+    first, last = np.array(action.frame_range).tolist()
     for time in np.linspace(first, last, count).tolist():
         scene.frame_set(int(time // 1), subframe=time % 1)
         posed: Any = armature.evaluated_get(bpy.context.evaluated_depsgraph_get()).pose
