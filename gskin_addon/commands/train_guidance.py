@@ -12,7 +12,7 @@ from ..core.job.progress import ProgressEvent
 from ..core.job.progress_text import ProgressPrinter
 from ..core.pipeline.eta import StageEta
 from .console import print_message
-from .rig import parse_options
+from .job_settings import parse_options
 
 
 def run(options: argparse.Namespace) -> None:

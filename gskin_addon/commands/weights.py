@@ -51,7 +51,9 @@ def run(options: argparse.Namespace) -> None:
     require_bpy()
     from ..scene import rig_files
     from ..scene.armature import deform_bone_names
+    from ..scene.blend_rigs import check_whole
     from ..scene.bone_frames import armature_of
+    from ..scene.single_user import said_of, sharers
     from ..scene.steps import run_to_end
     from ..scene.weight_edits import iter_edit_weights
 
@@ -67,11 +69,12 @@ def run(options: argparse.Namespace) -> None:
         raise InputError(
             f"'{obj.name}' in '{options.source}' follows no armature by weights of its own; bind it with gskin rig."
         )
+    check_whole(armature)
     bones = deform_bone_names(armature)
     for name in options.lock:
         _column(name, bones, "--lock")
     selected = _selection(options, obj, bones)
-    body = _Body(obj, armature)
+    body, others = _Body(obj, armature), sharers(obj)
     how = {"reach": options.reach, "angle": options.angle, "inpaint": options.inpaint, "fit": options.fit}
     for option, value in options.changes:
         change, reached = _change(option, value, body, bones, selected, options.rim, how)
@@ -79,6 +82,8 @@ def run(options: argparse.Namespace) -> None:
         words = f"--{option.replace('_', '-')}: weights of {count:,} splats changed"
         print_message("; ".join([words, *body.notes]) + ".")
         body.notes.clear()
+    if len(sharers(obj)) < len(others):
+        print_message(f"{said_of(obj, others)}.")
     if options.weights is not None:
         from ..scene.save_weights import save_weights
 

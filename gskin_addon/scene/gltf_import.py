@@ -55,7 +55,8 @@ def bring_rig_of(path: Path, obj: bpy.types.Object, kept: NDArray[np.int64]) -> 
     _remove([found for found in added if found.type == "MESH"])
     if not (weights > 0).any():
         return None, "its splats have no weights"
-    write_weights(obj, armature, weights[kept], bones)
+    most = int((weights > 0).sum(axis=1).max())
+    write_weights(obj, armature, weights[kept], bones, max_influences=max(4, most))
     return armature, f"they follow its armature '{armature.name}'"
 
 

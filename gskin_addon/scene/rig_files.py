@@ -23,24 +23,26 @@ def empty_scene() -> None:
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
 
 
-def import_armature(path: Path, name: str | None = None) -> bpy.types.Object:
+def import_armature(path: Path, name: str | None = None, notes: list[str] | None = None) -> bpy.types.Object:
     """Add the armature of a .blend, .glb, .gltf or .fbx file to the scene, with its actions and all that moves it.
 
-    `name` chooses among several. Raises InputError: no such file or kind, unreadable, no armature, no such
-    name.
+    `name` chooses among several. `notes` gets sentences about what was left out. Raises InputError: no such file or
+    kind, unreadable, no armature, no such name.
     """
     if path.suffix.lower() not in ARMATURE_SUFFIXES:
         raise InputError(f"'{path}' is no armature file; give a {', '.join(ARMATURE_SUFFIXES)} file.")
     if not path.is_file():
         raise InputError(f"'{path}' does not exist; check the path of the armature file.")
     if path.suffix.lower() == ".blend":
-        return _append(path, name)
+        return _append(path, name, notes)
     before, actions = set(bpy.data.objects), set(bpy.data.actions)
     _import(path)
     added = [obj for obj in bpy.data.objects if obj not in before]
     armature = _choose([obj for obj in added if obj.type == "ARMATURE"], "armature", name, path)
     needed = needed_objects(armature)
-    drop_foreign([action for action in bpy.data.actions if action not in actions], needed)
+    doubts = drop_foreign([action for action in bpy.data.actions if action not in actions], needed)
+    if notes is not None:
+        notes += doubts
     keep_only(needed, added)
     return armature
 
@@ -77,9 +79,9 @@ def save_blend(path: Path) -> None:
         raise GSkinError(f"'{path}' could not be written ({_reason(error)}); check folder and free space.") from error
 
 
-def _append(path: Path, name: str | None) -> bpy.types.Object:
+def _append(path: Path, name: str | None, notes: list[str] | None) -> bpy.types.Object:
     try:
-        return append_rig(path, lambda found: _choose(found, "armature", name, path))
+        return append_rig(path, lambda found: _choose(found, "armature", name, path), notes)
     except (OSError, RuntimeError, ValueError) as error:
         if isinstance(error, GSkinError):
             raise

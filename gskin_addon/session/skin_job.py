@@ -22,6 +22,7 @@ from ..core.job.lock import job_lock
 from ..core.job.mesh_files import mesh_file
 from ..core.job.progress import ProgressEvent
 from ..core.job.scope import Scope, scope_file
+from ..core.job.settings import JobSettings
 from ..core.skinning.edits.assign import normalise
 from ..core.skinning.initial import PRESENT
 from ..core.worker.client import WorkerClient
@@ -105,6 +106,7 @@ class SkinJob:
             InputError: objects that cannot be skinned, an interpreter that cannot be started.
             GSkinError: the job folder cannot be written.
         """
+        chosen = JobSettings.parse(settings)
         skeleton = read_skeleton(armature)
         cloud = read_cloud(splats)
         files = {}
@@ -114,7 +116,7 @@ class SkinJob:
         else:
             # A mesh knows which parts belong together; loose splats need the artist's seams.
             scope = Scope(walls=read_seams(splats))
-            if only is not None and settings["guidance"] != DEFAULT_GUIDANCE:
+            if only is not None and chosen.guidance != DEFAULT_GUIDANCE:
                 present = normalise(read_weights(splats, skeleton.names)[0])
                 scope = Scope(present, np.flatnonzero(only), scope.walls)
                 scope = scope.checked(cloud.count, skeleton.count, f"'{splats.name}'")
@@ -148,7 +150,7 @@ class SkinJob:
             (splats.session_uid, splats.name),
             (armature.session_uid, armature.name),
             cloud.count,
-            int(settings["max_influences"]),
+            chosen.max_influences,
             None if proxy is None else (proxy.session_uid, proxy.name),
             anchored,
             folder is not None,

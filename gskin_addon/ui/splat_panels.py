@@ -10,9 +10,10 @@ import bpy
 from ..scene import names
 from ..scene.anchored import proxy_of
 from ..scene.display_colors import SHOW_CONFIDENCE, SHOW_WEIGHTS_OF
+from ..scene.display_inputs import BY_SHADER, DISPLAY_INPUTS
 from ..scene.fabric import has_fabric
 from ..scene.node_builder import has_input, input_property
-from ..scene.node_groups import BY_SHADER, DISPLAY_INPUTS, find_display
+from ..scene.node_groups import find_display
 from ..scene.render import changes_colors
 from ..scene.viewport import switch
 from ..session.chosen import chosen_splats
@@ -67,8 +68,6 @@ class GSKIN_PT_display(_Child, bpy.types.Panel):
 
 def _draw_true_splats(context: bpy.types.Context, splats: bpy.types.Object, layout: bpy.types.UILayout) -> None:
     """The switch between splats and ellipsoids, and why there may be ellipsoids all the same."""
-    if switch.is_native(find_display(splats)):
-        return
     layout.prop(context.scene, "gskin_draw_splats")
     if not switch.setting(context.scene):
         return

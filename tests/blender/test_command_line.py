@@ -269,7 +269,7 @@ def test_a_worker_without_torch_exits_2(files, monkeypatch, tmp_path, capsys):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_interrupting_exits_130_and_leaves_nothing(number, files, tmp_path):
     out, job = tmp_path / "out.blend", tmp_path / "job"
-    command = [sys.executable, "-m", "gskin_addon.cli", "rig", str(files / "rod.ply"), "--preset", "paper"]
+    command = [sys.executable, "-m", "gskin_addon.cli", "rig", str(files / "rod.ply"), "--preset", "thorough"]
     command += ["--armature", str(files / "rig.blend"), "--out", str(out), "--job-dir", str(job)]
     process = interruptible(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None

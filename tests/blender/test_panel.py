@@ -19,6 +19,7 @@ import pretend
 import worker_jobs as jobs
 
 from gskin_addon.core.files import write_png
+from gskin_addon.core.job.settings import JobSettings
 from gskin_addon.core.rig.influences import Influences
 from gskin_addon.core.rig.weights_file import read_weights_file
 from gskin_addon.scene import names, rig_fit
@@ -556,6 +557,22 @@ def test_settings_are_kept_as_a_preset(scene, tmp_path, monkeypatch):
     assert bpy.ops.script.execute_preset(filepath=str(kept), menu_idname=menu) == {"FINISHED"}
     assert (scene.gskin.guidance, scene.gskin.preset, scene.gskin.max_influences) == ("elastic", "high", 3)
     assert bpy.types.GSKIN_PT_job_presets.preset_subdir == bpy.types.GSKIN_OT_job_preset_add.preset_subdir
+
+
+def test_a_preset_shows_what_it_brings_and_takes_it_back(scene):
+    chosen = scene.gskin
+    chosen.preset = "paper"
+    assert (chosen.init, chosen.max_influences) == ("visibility", 0)
+    assert JobSettings.parse(chosen.as_job()) == JobSettings.parse({"preset": "paper"})
+    chosen.preset = "high"
+    assert (chosen.init, chosen.max_influences) == ("learned", 4)
+    # What a person chose stays.
+    chosen.init, chosen.max_influences = "geodesic", 2
+    chosen.preset = "paper"
+    chosen.init = "heat"
+    assert JobSettings.parse(chosen.as_job()).init == "heat"
+    chosen.preset = "standard"
+    assert (chosen.init, chosen.max_influences) == ("heat", 2)
 
 
 def test_saved_weights_are_loaded_again(scene, splats, armature, tmp_path):

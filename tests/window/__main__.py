@@ -83,6 +83,9 @@ def play(blender: Blender, out: Path, splats: Path, rig: Path, options: argparse
     if blender.run([*plain, "--", "--out", str(out), "--splats", str(splats)], environment, LONGEST) != 0:
         return [("the extension works without a window", False, "Blender's words are above")]
     first: list[Check] = [("the extension works without a window", True, ""), check_repository(blender, out, LONGEST)]
+    loose = [*plain[:-1], str(ROOT / "tests/window/loose_actions.py"), "--", "--out", str(out / "loose")]
+    owners = blender.run(loose, environment, LONGEST)
+    first.append(("loose actions of other rigs stay out of a .glb", owners == 0, "Blender's words are above"))
     if options.background:
         return first
     session = [

@@ -15,7 +15,7 @@ from ..errors import InputError
 from ..job.scope import Scope, read_scope
 from ..job.settings import FRONTS, JobSettings
 from ..render.backends import AUTO, resolve_backend
-from ..render.camera import Camera, paper_views, percentile_bounds
+from ..render.camera import PAPER_AZIMUTHS, Camera, evaluation_views, paper_views, percentile_bounds
 from ..rig.influences import Influences
 from ..rig.lbs import sparsify
 from ..rig.skeleton import Skeleton
@@ -106,8 +106,12 @@ def to_unit_size(cloud: SplatCloud, skeleton: Skeleton) -> tuple[SplatCloud, Ske
 
 
 def guidance_cameras(job: JobInputs, cloud: SplatCloud) -> list[Camera]:
-    """The paper's views around splats in unit size."""
-    return paper_views(*percentile_bounds(cloud.means), GUIDANCE_SIZE, front=FRONTS[job.settings.front])
+    """The paper's four views around splats in unit size, and two more where the job asks for six.
+
+    Masks are taken from all of them, guidance images from the first `views` (`JobSettings`).
+    """
+    around = evaluation_views if job.settings.views > len(PAPER_AZIMUTHS) else paper_views
+    return around(*percentile_bounds(cloud.means), GUIDANCE_SIZE, front=FRONTS[job.settings.front])
 
 
 def rest_pictures(
