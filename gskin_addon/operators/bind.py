@@ -44,7 +44,8 @@ class GSKIN_OT_load_weights(Sliced, bpy.types.Operator, ImportHelper):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self.asked = True
-        return super().invoke(context, event)
+        answer: set[str] = set(super().invoke(context, event))
+        return answer
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         return self.begin(context)
