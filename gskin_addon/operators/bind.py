@@ -9,11 +9,9 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy_extras.io_utils import ImportHelper
 
-from ..core.errors import GSkinError
 from ..core.job.skinned_files import read_weights
 from ..scene.armature import deform_bone_names
 from ..scene.binding import bind, check_splats
-from ..scene.bone_frames import armature_of
 from ..scene.fabric import iter_fabric, lay_under, strongest_of
 from ..scene.influences import splats_without_bones
 from ..scene.object_ref import ObjectRef
@@ -46,7 +44,8 @@ class GSKIN_OT_load_weights(Sliced, bpy.types.Operator, ImportHelper):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self.asked = True
-        return super().invoke(context, event)
+        answer: set[str] = set(super().invoke(context, event))
+        return answer
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         return self.begin(context)
@@ -124,30 +123,6 @@ class GSKIN_OT_bind_to_armature(Sliced, bpy.types.Operator):
         return f"{total:,} splats follow '{name}'"
 
 
-class GSKIN_OT_update_rotation_weights(bpy.types.Operator):
-    """Take changed vertex groups over into the rotation of the splats. Leaving Weight Paint does it by itself"""
-
-    bl_idname = "gskin.update_rotation_weights"
-    bl_label = "Update Splat Rotation Weights"
-    bl_options = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        splats = chosen_splats(context)
-        if splats is None or armature_of(splats) is None:
-            cls.poll_message_set("Select splats that follow an armature")
-            return False
-        return _not_edited(cls, context)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        try:
-            update_rotation_weights(chosen_splats(context))
-        except GSkinError as error:
-            self.report({"ERROR"}, error.plain)
-            return {"CANCELLED"}
-        return {"FINISHED"}
-
-
 def _has_both(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
     if chosen_splats(context) is None:
         operator.poll_message_set("Select a splat object; import one with File > Import > Gaussian Splats")
@@ -165,4 +140,4 @@ def _not_edited(operator: type[bpy.types.Operator], context: bpy.types.Context) 
     return True
 
 
-CLASSES = (GSKIN_OT_load_weights, GSKIN_OT_bind_to_armature, GSKIN_OT_update_rotation_weights)
+CLASSES = (GSKIN_OT_load_weights, GSKIN_OT_bind_to_armature)

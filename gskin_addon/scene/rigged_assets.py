@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError
 from ..core.training.textures import sample_image, to_linear, to_srgb
+from .liveliest_clip import liveliest_clip
 from .material_colors import MaterialColor, image_pixels, material_color
 from .rig_files import empty_scene, import_objects, open_blend
 
@@ -77,9 +78,14 @@ def read_rigged(path: Path) -> RiggedAsset:
         notes.append(f"only '{armature.name}' was taken, not {', '.join(others)}")
     for obj in armatures:
         obj.data.pose_position = "REST"
+    for mesh in armatures[armature]:
+        _without_shape_keys(mesh)
     layer.update()
     parts = [_read_part(obj, armature, notes) for obj in armatures[armature]]
     arrays = _joined(parts, armature, path, notes)
+    clip = liveliest_clip(armature)
+    if clip is not None:
+        arrays |= {"anim_mats": clip[1].astype(np.float32), "anim_name": np.array(clip[0])}
     return RiggedAsset(arrays, armature.name, notes)
 
 
@@ -89,10 +95,32 @@ def _bound_meshes(armature: bpy.types.Object) -> list[bpy.types.Object]:
     for obj in bpy.context.view_layer.objects:
         if obj.type != "MESH" or obj.hide_render or not obj.data.polygons:
             continue
-        by_modifier = any(m.type == "ARMATURE" and m.object == armature and m.show_viewport for m in obj.modifiers)
-        if by_modifier or obj.parent == armature:
+        if _is_skinned(obj, armature) or _carrier(obj, armature):
             found.append(obj)
     return found
+
+
+def _without_shape_keys(obj: bpy.types.Object) -> None:
+    """The basis, whatever expression the file shows."""
+    keys: Any = getattr(obj.data, "shape_keys", None)
+    for key in keys.key_blocks[1:] if keys is not None else ():
+        key.mute = True
+
+
+def _is_skinned(obj: bpy.types.Object, armature: bpy.types.Object) -> bool:
+    """Whether vertex groups of `obj` follow the armature."""
+    modifiers: list[Any] = [m for m in obj.modifiers if m.type == "ARMATURE" and m.show_viewport]
+    by_parent = obj.parent == armature and obj.parent_type == "ARMATURE"
+    return by_parent or any(modifier.object == armature for modifier in modifiers)
+
+
+def _carrier(obj: bpy.types.Object, armature: bpy.types.Object) -> str:
+    """The bone that `obj` hangs on, through whatever parents; empty for none."""
+    while obj.parent is not None:
+        if obj.parent == armature and obj.parent_type == "BONE":
+            return obj.parent_bone
+        obj = obj.parent
+    return ""
 
 
 @dataclass
@@ -166,9 +194,9 @@ def _weights(
     bones: Any = armature.data.bones
     number = {bone.name: k for k, bone in enumerate(bones)}
     count = len(mesh.vertices)
-    followed = any(m.type == "ARMATURE" and m.object == armature and m.show_viewport for m in obj.modifiers)
-    if obj.parent == armature and obj.parent_type == "BONE" and obj.parent_bone in number and not followed:
-        return np.arange(count), np.full(count, number[obj.parent_bone]), np.ones(count)
+    carrier = _carrier(obj, armature)
+    if carrier in number and not _is_skinned(obj, armature):
+        return np.arange(count), np.full(count, number[carrier]), np.ones(count)
     column = {g.index: number[g.name] for g in obj.vertex_groups if g.name in number and bones[g.name].use_deform}
     rows, columns, values = [], [], []
     for vertex in mesh.vertices:

@@ -518,7 +518,6 @@ def test_the_weights_panel_has_a_click_for_each_way(scene, splats, armature):
         ("even_scale", "have an even scale"),
         ("save_weights", "follow an armature"),
         ("export_glb", "follow no armature"),
-        ("update_rotation_weights", "follow an armature"),
         ("anchor_to_mesh", "name it as Proxy Mesh"),
         ("release_from_mesh", "follow a mesh"),
         ("select_unsure_splats", "how sure they are"),
@@ -531,7 +530,7 @@ def test_what_cannot_work_now_says_why(scene, operator, words):
         click()
 
 
-@pytest.mark.parametrize("operator", ["load_weights", "bind_to_armature", "update_rotation_weights", "save_weights"])
+@pytest.mark.parametrize("operator", ["load_weights", "bind_to_armature", "save_weights"])
 def test_weights_wait_for_the_end_of_edit_mode(scene, splats, armature, operator):
     bind(splats, armature)
     bpy.context.view_layer.objects.active = splats
