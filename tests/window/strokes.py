@@ -208,9 +208,16 @@ def enter(stage: Stage, painting: Painting) -> Story:
     painting.choose(painting.bone)
     took = yield from switch(stage, painting, "WEIGHT_PAINT")
     stage.numbers["enter Weight Paint s"] = took
+    pauses(stage, "enter", "enter Weight Paint")
     display = part("scene.node_groups").find_display(painting.splats)
     stage.check("in Weight Paint the display makes way for the fabric", not display.show_viewport)
     yield from painting.hands.shoot("k01_weight_paint")
+
+
+def pauses(stage: Stage, chapter: str, what: str) -> None:
+    """Note how long Blender stood still in a chapter at most: by the clock, but for what others took, and busy."""
+    stage.numbers[f"{what}: longest pause s"] = max(stage.own_gaps(chapter), default=0.0)
+    stage.numbers[f"{what}: longest busy s"] = max(stage.busy(chapter), default=0.0)
 
 
 def switch(stage: Stage, painting: Painting, mode: str) -> Any:
@@ -244,7 +251,7 @@ def brushes(stage: Stage, painting: Painting) -> Story:
         if name == "Paint":
             yield from painting.hands.shoot("k02_painted")
             yield from painting.there_and_back(name, before)
-    stage.numbers["strokes longest busy s"] = max(stage.busy("brushes"), default=0.0)
+    pauses(stage, "brushes", "strokes")
 
 
 def gradient_and_set(stage: Stage, painting: Painting) -> Story:
@@ -323,18 +330,18 @@ def leave(stage: Stage, painting: Painting) -> Story:
     stage.check("rotations follow what was painted", turned_as_computed(painting.splats))
     display = part("scene.node_groups").find_display(painting.splats)
     stage.check("the display is back", display.show_viewport)
-    stage.numbers["leave longest busy s"] = max(stage.busy("leave"), default=0.0)
+    pauses(stage, "leave", "leave Weight Paint")
     yield from painting.hands.shoot("k05_back")
 
 
 def edit_mode(stage: Stage, painting: Painting) -> Story:
     """Tab, a box on the posed figure, Linked, and back."""
     stage.chapter = "edit"
-    began = time.monotonic()
     yield from painting.keys("Tab")
     yield stage.soon(lambda: painting.splats.mode == "EDIT", 8.0)
-    yield lambda: painting.drawn[-1] > began
-    stage.numbers["enter Edit Mode s"] = painting.drawn[-1] - began
+    yield stage.pause(0.5)
+    pauses(stage, "edit", "enter Edit Mode")
+    stage.chapter = "edited"
     stage.check("Tab enters Edit Mode", painting.splats.mode == "EDIT")
     with painting.view.override():
         bpy.ops.mesh.select_all(action="DESELECT")
@@ -371,7 +378,7 @@ def our_buttons(stage: Stage, painting: Painting) -> Story:
         yield from painting.hands.click(*found[operator])
         yield stage.soon(lambda before=before: not working() and (read_outside(painting) != before).any(), 30.0)
         stage.numbers[f"{name} s"] = time.monotonic() - began
-        stage.numbers[f"{name} longest busy s"] = max(stage.busy(f"button {name}"), default=0.0)
+        pauses(stage, f"button {name}", name)
         after = read_outside(painting)
         changed = (after != before).any(axis=1)
         stage.check(f"{name} changes splats", changed.any(), f"{changed.sum():,} in {painting.splats.mode}")
