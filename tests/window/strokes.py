@@ -25,10 +25,8 @@ from bpy_extras.view3d_utils import location_3d_to_region_2d
 from session import find_rig, find_splats, part, rest, running
 from stage import Hands, Stage, Story, View
 
-SHOWN = 0.15
-"""Seconds from the mouse button to the end of the redraw that shows the stroke, on a machine with a graphics card."""
 PAUSE = 0.5
-"""Seconds for which Blender may stand still because of us, for any cloud."""
+"""Seconds that Blender's main thread may be busy at a time, whatever is done."""
 BRUSHES = {"Paint": "builtin.brush", "Blur": "builtin_brush.blur", "Average": "builtin_brush.average",
            "Smear": "builtin_brush.smear"}  # fmt: skip
 
@@ -217,7 +215,8 @@ def enter(stage: Stage, painting: Painting) -> Story:
 def pauses(stage: Stage, chapter: str, what: str) -> None:
     """Note how long Blender stood still in a chapter at most: by the clock, but for what others took, and busy."""
     stage.numbers[f"{what}: longest pause s"] = max(stage.own_gaps(chapter), default=0.0)
-    stage.numbers[f"{what}: longest busy s"] = max(stage.busy(chapter), default=0.0)
+    busy = stage.numbers[f"{what}: longest busy s"] = max(stage.busy(chapter), default=0.0)
+    stage.check_time(f"{what}: no long pause", busy, PAUSE, stage.pace.busy(*stage.chapter_times(chapter)))
 
 
 def switch(stage: Stage, painting: Painting, mode: str) -> Any:
