@@ -16,7 +16,7 @@ from .frame_nodes import choose, direction, matrix_of
 from .node_algebra import Columns, combine, jacobi, parts, vector
 from .node_builder import Input, Tree, function_group
 
-VERSION = 1
+VERSION = 2
 """Of the node groups."""
 
 SWEEPS = 4
@@ -128,8 +128,7 @@ def _sampled(tree: Tree, bones: Any, name: str, kind: str, index: Any) -> Any:
 def _plain(tree: Tree, given: Input) -> dict[str, Any]:
     """An influence where no bone has segments."""
     bones, bone = given("Bones"), given("Bone")
-    matrix, inverse = (_sampled(tree, bones, name, "FLOAT4X4", bone) for name in (names.FRAME_MAP, names.FRAME_INVERSE))
-    columns = [direction(tree, direction(tree, axis, inverse), matrix) for axis in AXES]
+    columns = _columns(tree, _sampled(tree, bones, names.FRAME_LOCAL, "FLOAT4X4", bone))[:3]
     # No bone (-1): the splat stays as it is.
     some = tree.math("GREATER_THAN", bone, -0.5)
     columns = [choose(tree, some, axis, column) for axis, column in zip(AXES, columns, strict=True)]

@@ -12,7 +12,8 @@ from bent_rig import SPLATS, bend, bent_rig, bind, segments
 from finite_differences import apart, covariances, shown, truth
 
 from gskin_addon.scene import handlers
-from gskin_addon.scene.deform_stack import beyond_linear_blending, lost_in_gltf, not_in_the_viewport
+from gskin_addon.scene.deform_stack import beyond_linear_blending, lost_in_gltf, not_in_the_viewport, shown_wrongly
+from gskin_addon.scene.drawn import bare, read_drawn
 from gskin_addon.scene.posing import posed_cloud
 from gskin_addon.scene.splat_object import read_cloud, replace_cloud
 from gskin_addon.scene.weights import update_rotation_weights
@@ -257,6 +258,15 @@ def test_posed_splats_follow_what_else_the_modifiers_do(rig, change):
     error = apart(covariances(cloud.quats, cloud.scales), real.covariances(rest.quats, rest.scales))
     # Envelopes end with an edge, across which differences depend on their step.
     assert np.percentile(error, 95) < 0.02
+    # Render Splats and --view camera draw the same.
+    with bare([obj]):
+        bpy.context.view_layer.update()
+        drawn = read_drawn(obj, bpy.context.evaluated_depsgraph_get())
+    if change is not preserve_volume:
+        np.testing.assert_allclose(drawn.points, cloud.means, atol=1e-5)
+        error = apart(covariances(drawn.rotations, drawn.scales), covariances(cloud.quats, cloud.scales))
+        assert np.percentile(error, 95) < 1e-3
+        assert shown_wrongly(obj)[0].startswith("Blender's 3D view turns the splats of 'Splats' by vertex groups alone")
     assert [o.name for o in bpy.data.objects if o.name.startswith("Splats")] == ["Splats"]
 
 
