@@ -49,11 +49,18 @@ class _Transfer(WeightEdit):
         default=True,
     )
 
+    fit: bpy.props.BoolProperty(
+        name="Fit First",
+        description="Bring the source onto the target first, by a small turn, move and scale, for this transfer alone. "
+        "For the same surface that is a little off; not for a body under clothes",
+        default=False,
+    )
+
     _report: Report | None = None
 
     def how(self) -> Options:
         """The options as the scene layer takes them."""
-        return Options(self.reach, self.angle, self.inpaint)
+        return Options(self.reach, self.angle, self.inpaint, self.fit)
 
     def words(self) -> str:
         return "" if self._report is None else self._report.words()

@@ -91,7 +91,10 @@ def build_display(group: bpy.types.NodeTree) -> None:
     drawn = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
     if has_native_splats():
         native = tree.call(native_group(), {"Splats": splats, "Size": size, **shown_as})["Points"]
-        inputs = {"Switch": tree.output(source, NATIVE), "False": drawn, "True": native}
+        # In Solid mode of a window the shader draws them: with few samples Blender's own are grainy there.
+        by_shader = tree.math("MULTIPLY", in_viewport, tree.output(source, BY_SHADER))
+        shown_native = tree.math("GREATER_THAN", tree.output(source, NATIVE), by_shader)
+        inputs = {"Switch": shown_native, "False": drawn, "True": native}
         drawn = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
     # Without a display nothing is seen of the fabric either, see `fabric.py`.
     inputs = {"Geometry": splats}

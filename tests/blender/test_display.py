@@ -202,6 +202,8 @@ def test_one_group_and_one_modifier_however_often():
     assert first.modifiers[0].node_group == second.modifiers[0].node_group
     kinds = [group["gskin_group"] for group in bpy.data.node_groups]
     assert len(kinds) == len(set(kinds))
+    assert kinds.count(find_display(first).node_group["gskin_group"]) == 1
+    assert len(bpy.data.materials) == 2
 
 
 def test_the_nodes_are_built_in_small_slices():
@@ -224,7 +226,6 @@ def test_an_import_that_ends_early_leaves_no_display_half_built():
     steps.close()
     whole = create_splat_object(clouds.random_cloud(5, 0), "S")
     assert len(drawn(whole).polygons) > 0
-    assert len(bpy.data.materials) == 2
 
 
 def test_raised_bounces_never_fall():
@@ -234,6 +235,14 @@ def test_raised_bounces_never_fall():
     scene.cycles.transparent_max_bounces = 500
     prepare_scene(scene)
     assert scene.cycles.transparent_max_bounces == 500
+
+
+def test_views_get_the_samples_that_dithered_splats_need():
+    eevee = bpy.context.scene.eevee
+    for before, after in ((16, 32), (64, 64), (0, 0)):
+        eevee.taa_samples = before
+        prepare_scene(bpy.context.scene)
+        assert eevee.taa_samples == (after if has_native_splats() else before)
 
 
 def test_flecks_are_cleared_where_cycles_renders_and_never_brought_back():

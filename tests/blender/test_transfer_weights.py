@@ -26,8 +26,16 @@ BONES = ("a", "b", "c")
 @pytest.fixture(scope="module", autouse=True)
 def registered():
     gskin_addon.register()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
     yield
     gskin_addon.unregister()
+
+
+@pytest.fixture(autouse=True)
+def empty_scene():
+    """Without objects; node groups stay, which take long to make."""
+    for obj in list(bpy.data.objects):
+        bpy.data.objects.remove(obj)
 
 
 def figure():
@@ -81,7 +89,6 @@ def choose(active, *others):
 
 def test_new_splats_get_the_weights_of_the_mesh_wherever_both_stand():
     """Posed and moved, object and mesh in different spaces: what counts is the rest pose in the world."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
     armature = make_rig()
     mesh = make_mesh(armature)
     mesh.vertex_groups.new(name="Hat").add([0], 1.0, "REPLACE")
@@ -103,7 +110,6 @@ def test_new_splats_get_the_weights_of_the_mesh_wherever_both_stand():
 
 
 def test_a_new_capture_gets_the_weights_of_the_old_one_and_hand_work_stays():
-    bpy.ops.wm.read_factory_settings(use_empty=True)
     armature = make_rig()
     old, its = make_splats("Old", 1)
     write_weights(old, armature, its.astype(np.float32), BONES)
@@ -132,7 +138,6 @@ def test_a_new_capture_gets_the_weights_of_the_old_one_and_hand_work_stays():
 
 
 def test_a_mesh_gets_the_weights_of_the_splats_and_follows():
-    bpy.ops.wm.read_factory_settings(use_empty=True)
     armature = make_rig()
     splats, its = make_splats("S", 3, 1500)
     write_weights(splats, armature, sparsify(its.astype(np.float32), 4), BONES)
@@ -149,7 +154,6 @@ def test_a_mesh_gets_the_weights_of_the_splats_and_follows():
 
 
 def test_refusals_name_object_and_remedy():
-    bpy.ops.wm.read_factory_settings(use_empty=True)
     armature = make_rig()
     mesh = make_mesh(armature)
     splats, _ = make_splats("S", 4, 200)

@@ -59,6 +59,16 @@ def test_weights_come_back_as_the_strongest_four(rig):
     assert max(len(v.groups) for v in obj.data.vertices) == 4
 
 
+def test_without_a_limit_every_bone_moves_the_splats(rig, rng):
+    obj, armature, weights = rig
+    write_weights(obj, armature, weights, max_influences=0)
+    np.testing.assert_allclose(read_weights(obj)[0], weights, atol=1e-6)
+    rigs.random_pose(armature, rng, 0.8)
+    points, _ = rigs.posed_in_blender(obj)
+    wanted, _ = rigs.posed_in_numpy(obj, armature)
+    np.testing.assert_allclose(points, wanted, atol=1e-5 * np.ptp(wanted))
+
+
 @pytest.mark.parametrize("influences", [1, 2, 4])
 def test_posed_splats_agree_with_numpy(rig, rng, influences):
     obj, armature, weights = rig

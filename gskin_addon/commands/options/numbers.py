@@ -16,6 +16,14 @@ def positive(text: str) -> int:
     return value
 
 
+def count(text: str) -> int:
+    """A whole number of at least 0."""
+    value = int(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{value} is not at least 0")
+    return value
+
+
 def length(text: str) -> float:
     """A length in metres, at least 0."""
     value = float(text)
@@ -68,5 +76,6 @@ def unit(text: str) -> float:
 
 # argparse names the converter in its message
 positive.__name__, seed.__name__, unit.__name__ = "whole number", "whole number", "number"
+count.__name__ = "whole number"
 scale.__name__ = "auto, or number"
 size.__name__, aspect.__name__, length.__name__ = "whole number", "number", "number"

@@ -10,12 +10,17 @@ from ...core.guidance import DEFAULT_GUIDANCE, GUIDANCE
 from ...core.job.settings import PRESET_FIELD
 from ...core.job.up_axis import UP_CHOICES
 from ...core.render.backends import AUTO, BACKENDS
+from ...core.render.camera import VIEW_COUNTS
+from ...core.skinning.fields import OPTIONS as FIELD_OPTIONS
 from ...core.skinning.fields import WEIGHT_FIELDS
 from ...core.skinning.initial import DEFAULT_INITIAL, INITIAL_WEIGHTS
+from ...core.skinning.losses import LossWeights
 from ...core.skinning.presets import DEFAULT_PRESET, PRESETS
 from ...core.splats.axes import UP_AXES
-from .numbers import aspect, positive, scale, seed
+from .numbers import aspect, count, scale, seed
 from .shared import common, consent, front, progress, up
+
+_FIELD_OPTIONS = "; ".join(f"{name}: {', '.join(options)}" for name, options in FIELD_OPTIONS.items())
 
 
 def add(commands: Any) -> None:
@@ -54,10 +59,26 @@ def add(commands: Any) -> None:
     )
     rig.add_argument("--isotropic", action="store_true", help="make every splat a ball of the same area")
     rig.add_argument(
+        "--walls",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="marked splats, as of gskin weights --select: weights do not go from them to others; given twice or more, "
+        "each FILE is one side of a wall, and splats in none are open to all",
+    )
+    rig.add_argument(
         "--field",
         choices=(PRESET_FIELD, *WEIGHT_FIELDS),
         default=PRESET_FIELD,
         help="what the weights are a function of (default: as the preset says)",
+    )
+    rig.add_argument(
+        "--field-option",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help=f"a setting of that field, as {_FIELD_OPTIONS}; repeatable",
     )
     rig.add_argument(
         "--rasterizer",
@@ -68,8 +89,7 @@ def add(commands: Any) -> None:
     rig.add_argument(
         "--init",
         choices=tuple(INITIAL_WEIGHTS),
-        default=DEFAULT_INITIAL,
-        help="initial weights (default: %(default)s)",
+        help=f"initial weights (default: {DEFAULT_INITIAL}; visibility in the preset paper)",
     )
     rig.add_argument(
         "--init-model", type=Path, metavar="MODEL.safetensors", help="another model for --init learned (train-prior)"
@@ -90,7 +110,20 @@ def add(commands: Any) -> None:
     consent(rig)
     front(rig)
     rig.add_argument("--preset", choices=tuple(PRESETS), default=DEFAULT_PRESET, help="effort (default: %(default)s)")
-    rig.add_argument("--max-influences", type=positive, default=4, metavar="N", help="bones per splat (default: 4)")
+    rig.add_argument("--views", type=int, choices=VIEW_COUNTS, help="sides that guidance images show (default: 4)")
+    rig.add_argument(
+        "--loss",
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help=f"a factor of the loss, of {', '.join(LossWeights.names())}; repeatable",
+    )
+    rig.add_argument(
+        "--max-influences",
+        type=count,
+        metavar="N",
+        help="bones per splat in the result, 0 for no limit (default: 4; 0 in the preset paper)",
+    )
     rig.add_argument("--seed", type=seed, default=0, metavar="N", help="same seed, same weights (default: 0)")
     rig.add_argument(
         "--job-dir", type=Path, metavar="D", help="keep the job here; the same command resumes a stopped one"

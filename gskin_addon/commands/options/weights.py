@@ -7,6 +7,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from ...core.skinning.transfer.match import ANGLE, REACH
+from ...core.splats.axes import UP_AXES
 from .numbers import length, positive, unit
 from .shared import common
 
@@ -23,7 +25,9 @@ def add(commands: Any) -> None:
     weights.set_defaults(changes=[])
     weights.add_argument("source", type=Path, metavar="RIGGED.blend", help="what `gskin rig` wrote")
     weights.add_argument("--out", type=Path, metavar="OUT", help="what to write: .blend or .glb")
-    weights.add_argument("--weights", type=Path, metavar="W.npz", help="write the weights as arrays")
+    weights.add_argument(
+        "--weights", type=Path, metavar="W.npz", help="write the weights as arrays, or as RigNet's text (.txt)"
+    )
     weights.add_argument("--object", metavar="NAME", help="which splats, where the file has several")
     weights.add_argument("--smooth", type=positive, metavar="N", action=_Change, help="N steps towards the neighbours")
     weights.add_argument(
@@ -40,6 +44,44 @@ def add(commands: Any) -> None:
     )
     weights.add_argument(
         "--follow-neighbours", nargs=0, action=_Change, help="selected splats take weights from those around them"
+    )
+    weights.add_argument(
+        "--from-mesh",
+        type=Path,
+        metavar="MESH",
+        action=_Change,
+        help="weights of a skinned mesh in the same place: .glb, .npz, or RigNet's .txt with an .obj beside it",
+    )
+    weights.add_argument(
+        "--from-splats",
+        type=Path,
+        metavar="RIGGED",
+        action=_Change,
+        help="weights of other rigged splats in the same place: .blend or .glb",
+    )
+    weights.add_argument(
+        "--to-mesh",
+        nargs=2,
+        type=Path,
+        metavar=("MESH", "W"),
+        help="write weights for a mesh in the same place (.obj, .npz, .glb): as .npz, .glb or RigNet's .txt",
+    )
+    weights.add_argument("--mesh-up", choices=UP_AXES, help="up axis of meshes (default: y for .obj and .glb, else z)")
+    weights.add_argument(
+        "--reach",
+        type=unit,
+        default=REACH,
+        metavar="SHARE",
+        help="how far weights go, as a share of the source's size (default: %(default)s)",
+    )
+    weights.add_argument(
+        "--angle", type=length, default=ANGLE, metavar="DEGREES", help="that both surfaces may face apart (default: 45)"
+    )
+    weights.add_argument(
+        "--no-inpaint", dest="inpaint", action="store_false", help="what has no match takes what is nearest"
+    )
+    weights.add_argument(
+        "--fit", action="store_true", help="first bring the same surface that is a little off onto the other one"
     )
     weights.add_argument(
         "--select", type=Path, metavar="FILE", help="splats to change: .npz with `selected`, or a text of their numbers"

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..guidance import create_provider
 from ..guidance.control import ControlSignal, make_signals
-from ..guidance.provider import GuidanceContext, to_bytes
+from ..guidance.provider import GuidanceContext, facts_of, to_bytes
 from ..render.backends import choose_backend
 from ..render.camera import Camera
 from ..rig.skeleton import Skeleton
@@ -35,7 +35,7 @@ from .steps import JobInputs
 from .work_kinds import rendering_kinds
 
 TRIAL_POSES = 8
-"""Poses of each view in a try-out. A view renders what it sees in any of them: with 6 the try-outs of `paper` took
+"""Poses of each view in a try-out. A view renders what it sees in any of them: with 6 the try-outs of `thorough` took
 0.40 s, with 15 they took 0.60 s, the run itself 0.5 s an iteration."""
 
 LIVE_SIZE = 256
@@ -166,7 +166,8 @@ class GuidedStage:
             ),
         )
         pictures = LivePictures(self.job.folder)
-        targets = make_guidance(create_provider(chosen.guidance, context), [*signals, *unseen], eta, pictures)
+        provider = create_provider(chosen.guidance, context)
+        targets = make_guidance(provider, [*signals, *unseen], eta, pictures)
         eta.end_stage("guidance")
 
         optimiser = begin(targets[: len(signals)], preset, held_out=targets[len(signals) :])
@@ -182,6 +183,7 @@ class GuidedStage:
         report = {
             "field": self._field_name(),
             "guidance_images": len(signals),
+            **facts_of(provider),
             "iterations": optimiser.iteration,
             "stopped": optimiser.stop.reason or "the schedule is done",
             "held_out": [{"iteration": at, "render": loss} for at, loss in optimiser.stop.history],

@@ -21,6 +21,9 @@ Kinds = dict[str, tuple[int, float]]
 FIT = "fit"
 """The kind of a step in which a field is fitted to the initial weights (L_init)."""
 
+IMAGES = ("first image", "guidance")
+"""The kinds of making guidance images; the first one waits for what the provider must load."""
+
 CHECKS = 10
 """Checks on the held-out poses in a run."""
 
@@ -52,8 +55,8 @@ def guided_kinds(
     cost = field_seconds(name, options, splats, bones)
     updates = visibility_schedule(preset, images) if splats >= PRUNE_FROM and preset.prune else ()
     wanted = images + views * preset.held_out
-    kinds = {"distances": (1, 0.5 * size), "first image": (1, 0.2 + size)}
-    kinds |= {"guidance": (wanted - 1, 0.042 * (0.8 + size))}
+    first, others = IMAGES
+    kinds = {"distances": (1, 0.5 * size), first: (1, 0.2 + size), others: (wanted - 1, 0.042 * (0.8 + size))}
     if options.get("start") == "fit":
         kinds[FIT] = (options.get("fit_steps", FIT_STEPS), cost)
     for size_px, stage in preset.ranges():
@@ -69,11 +72,17 @@ def guided_kinds(
 
 def field_seconds(field: str, options: Mapping[str, Any], splats: int, bones: int) -> float:
     """Seconds that a weight field adds to an iteration, forwards, backwards and Adam. Measured for the volume, whose
-    decoder costs by itself; the pyramid is part of the other work."""
+    66 million parameters cost by themselves, however few splats read them; the pyramid is part of the other work."""
     if field != "volume":
         return 0.0
     fineness = options.get("resolution", RESOLUTION) / RESOLUTION
-    return float(fineness**2 * (0.4 + 1.0 * splats / 50_000) * (0.8 + bones / 100))
+    return float(1.0 + fineness**2 * 0.3 * splats / 50_000 * (0.8 + bones / 100))
+
+
+def volume_memory(options: Mapping[str, Any], splats: int, bones: int) -> float:
+    """GB that learning in the weight volume takes, measured: the decoder and Adam's two moments, and its features."""
+    fineness = options.get("resolution", RESOLUTION) / RESOLUTION
+    return float(1.5 + fineness**2 * splats / 50_000 * (0.15 + bones / 150))
 
 
 def learning_kind(size: int) -> str:

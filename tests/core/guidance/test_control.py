@@ -7,7 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gskin_addon.core.guidance.control import control_points, make_signals
-from gskin_addon.core.guidance.mask import dynamic_mask
+from gskin_addon.core.guidance.mask import dynamic_mask, painting_mask, points_hull
 from gskin_addon.core.render.camera import paper_views
 from gskin_addon.core.rig.kinematics import pose_transforms
 from tests.helpers.limb import make_limb
@@ -94,3 +94,26 @@ def test_mask_of_a_line_is_the_line():
     mask = dynamic_mask(rest, posed)
     assert mask[4:24, 7].all()
     assert mask.sum() == 20
+
+
+def test_a_model_may_paint_between_the_control_points():
+    rest = np.ones((60, 80, 3), np.float32)
+    posed = rest.copy()
+    posed[40:45, 50:60] = 0.5
+    handles, targets = np.array([[10.0, 10.9], [30.2, 10.0]]), np.array([[10.0, 30.0], [300.0, 10.0]])
+    mask = painting_mask(rest, posed, handles, targets)
+    hull = points_hull(handles, targets, 60, 80)
+    np.testing.assert_array_equal(mask, dynamic_mask(rest, posed) | hull)
+    for x, y in ((10, 10), (30, 10), (10, 30), (79, 10), (20, 15)):
+        assert mask[y, x]
+    assert not mask[30, 60]
+    assert not mask[9].any()
+    assert not painting_mask(rest, rest, handles, targets).any()  # nothing is seen to move
+
+
+def test_the_hull_of_few_points_is_a_dot_or_a_line():
+    none = np.zeros((0, 2))
+    assert not points_hull(none, none, 20, 20).any()
+    assert np.argwhere(points_hull(np.array([[3.5, 4.0]]), none, 20, 20)).tolist() == [[4, 3]]
+    line = points_hull(np.array([[2.0, 5.0], [4, 5]]), np.array([[9.0, 5.0], [np.nan, 1]]), 20, 20)
+    assert np.argwhere(line).tolist() == [[5, x] for x in range(2, 10)]

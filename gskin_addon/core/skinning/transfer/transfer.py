@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from ...splats.cloud import SplatCloud
 from ...ticks import Tick, silent, stretch
 from ..edits.blend import follow_neighbours
 from ..edits.body_graph import BodyGraph, body_graph
+from .align import align
 from .facing import splat_facing, vertex_facing
 from .match import ANGLE, REACH, Match, among_points, on_surface
 
@@ -23,37 +25,52 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """What weights go to or come from: points (N, 3) in the rest pose, world; facing (N, 3), see `facing`; graph: which
-    points are neighbours; faces (F, 3) of a mesh, None for splats."""
+    """What weights go to or come from: points (N, 3) in the rest pose, world; facing (N, 3), see `facing`; faces (F, 3)
+    of a mesh, None for splats; walls (N,): labels of splats, see `walls`, over which nothing is inpainted."""
 
     points: Array
     facing: Array
-    graph: BodyGraph
     faces: Array | None = None
+    walls: Array | None = None
 
     @classmethod
     def of_splats(cls, cloud: SplatCloud, walls: Array | None = None, tick: Tick = silent) -> Shape:
-        """walls (N,): labels, see `walls`, over which nothing is inpainted."""
-        facing = splat_facing(cloud, stretch(tick, 0.0, 0.6))
-        graph = body_graph(cloud.means, walls=walls)
-        return cls(np.asarray(cloud.means, np.float64), facing, _without_contacts(graph, facing))
+        """The splats of a cloud."""
+        return cls(np.asarray(cloud.means, np.float64), splat_facing(cloud, tick), None, walls)
 
     @classmethod
     def of_mesh(cls, verts: Array, faces: Array) -> Shape:
         """verts (V, 3), faces (F, 3). Vertices at one place, as files have them along seams of textures, are one."""
         verts, faces = np.asarray(verts, np.float64), np.asarray(faces)
-        first, place = np.unique(verts, axis=0, return_index=True, return_inverse=True)[1:]
-        welded = first[place.reshape(-1)]
-        neighbour = mesh_neighbours(len(verts), welded[faces])[welded]
-        own = np.arange(len(verts))[:, None]
-        length = np.linalg.norm(verts[neighbour] - verts[:, None], axis=2)
-        length[(neighbour == own) | (neighbour == welded[:, None])] = np.inf
-        twin = np.where(welded != np.arange(len(verts)), 0.0, np.inf)[:, None]
-        graph = BodyGraph(
+        welded = _first_there(verts)
+        return cls(verts, vertex_facing(verts, welded[faces])[welded], faces)
+
+    @cached_property
+    def graph(self) -> BodyGraph:
+        """Which points are neighbours: along the edges of a mesh, or of splats those around each, but for gaps, walls
+        and what faces it, where two parts of a body touch."""
+        if self.faces is None:
+            return _without_contacts(body_graph(self.points, walls=self.walls), self.facing)
+        own, welded = np.arange(len(self.points)), _first_there(self.points)
+        neighbour = mesh_neighbours(len(own), welded[self.faces])[welded]
+        length = np.linalg.norm(self.points[neighbour] - self.points[:, None], axis=2)
+        length[(neighbour == own[:, None]) | (neighbour == welded[:, None])] = np.inf
+        twin = np.where(welded != own, 0.0, np.inf)
+        return BodyGraph(
             np.concatenate([neighbour, welded[:, None]], axis=1),
-            np.concatenate([length, twin], axis=1).astype(np.float32),
+            np.concatenate([length, twin[:, None]], axis=1).astype(np.float32),
         )
-        return cls(verts, vertex_facing(verts, welded[faces])[welded], graph, faces)
+
+    def fitted(self, onto: Shape, reach: float, tick: Tick = silent) -> Shape:
+        """The shape brought onto another one, see `align`; reach: a share of its diagonal."""
+        points, facing = self.points, self.facing
+        if self.faces is not None:
+            points, facing = _spread(self)
+        way = reach * float(np.linalg.norm(np.ptp(self.points, axis=0)))
+        matrix = align(points, facing, onto.points, onto.facing, way, tick)
+        rotation = matrix[:3, :3] / np.cbrt(np.linalg.det(matrix[:3, :3]))
+        moved = self.points @ matrix[:3, :3].T + matrix[:3, 3]
+        return Shape(moved, self.facing @ rotation.T, self.faces, self.walls)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +91,7 @@ def transfer(
     reach: float = REACH,
     angle: float = ANGLE,
     inpaint: bool = True,
+    fit: bool = False,
     tick: Tick = silent,
 ) -> Transferred:
     """Weights of `source` (M, B), rows of any sum, for `target`, which lies in the same place in the same pose.
@@ -82,7 +100,7 @@ def transfer(
     further than `reach`, a share of the source's diagonal, or faces another way by more than `angle` degrees, such as
     a thigh behind a hand, it takes the harmonic continuation of the others' weights over the target's graph instead
     (Abdrashitov et al. 2023, with Laplace's equation, whose solution has no negative weights). Without `inpaint` all
-    keep what is nearest.
+    keep what is nearest. With `fit` the source is first brought onto the target, see `align`.
 
     Raises:
         InputError: the source has no weights, or lies elsewhere: nothing matches.
@@ -90,10 +108,12 @@ def transfer(
     weights = np.asarray(weights, np.float32)
     if not (weights.sum(axis=1) > 1e-6).any():
         raise InputError("The source has no weights for these bones; give it some, or rename its groups.")
+    if fit:
+        source = source.fitted(target, reach, stretch(tick, 0.0, 0.2))
     if source.faces is None:
         found = among_points(
             target.points, target.facing, source.points, source.facing, weights, reach=reach, angle=angle,
-            tick=stretch(tick, 0.0, 0.5),
+            tick=stretch(tick, 0.2, 0.5),
         )  # fmt: skip
     else:
         found = on_surface(
@@ -119,6 +139,30 @@ def _inpainted(found: Match, target: Shape, inpaint: bool, tick: Tick) -> Transf
             target.points[empty], None, target.points[found.sure], None, weights[found.sure], nearest=1
         ).weights
     return Transferred(weights, found.sure, alone)
+
+
+def _spread(mesh: Shape, count: int = 20_000) -> tuple[Array, Array]:
+    """Points (C, 3) spread over a mesh by area, and their facing (C, 3)."""
+    faces = np.asarray(mesh.faces)
+    corner = mesh.points[faces]
+    area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1)
+    rng = np.random.default_rng(0)
+    place = (np.arange(count) + rng.random(count)) / count * area.sum()
+    face = np.searchsorted(np.cumsum(area), place).clip(0, len(faces) - 1)
+    root, other = np.sqrt(rng.random(count)), rng.random(count)
+    bary = np.stack([1 - root, root * (1 - other), root * other], axis=1)
+    return tuple(np.einsum("nk,nkd->nd", bary, values[faces[face]]) for values in (mesh.points, mesh.facing))
+
+
+def _first_there(points: Array) -> Array:
+    """(N,) for each of points (N, 3) the first that is in exactly the same place."""
+    order = np.lexsort((np.arange(len(points)), *points.T))
+    ordered = points[order]
+    fresh = np.ones(len(points), bool)
+    fresh[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    out = np.empty(len(points), np.int64)
+    out[order] = order[fresh][np.cumsum(fresh) - 1]
+    return out
 
 
 def _without_contacts(graph: BodyGraph, facing: Array) -> BodyGraph:

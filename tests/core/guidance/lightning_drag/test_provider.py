@@ -234,12 +234,16 @@ def test_a_whole_job(models, tmp_path, monkeypatch):
     settings = {
         "preset": "draft",
         "guidance": "lightning_drag",
-        "options": {"models": str(models), "scheduler": "ddim", "steps": 2},
+        "options": {"models": str(models), "scheduler": "ddim", "steps": 2, "max_points": 1},
     }
     outcome = job.run(limb.cloud, limb.skeleton, settings, lambda *what: stages.append(what), tmp_path)
     assert outcome.weights.shape == limb.weights.shape
     np.testing.assert_allclose(outcome.weights.sum(1), 1, atol=1e-5)
     assert outcome.report["guidance_images"] == 4
+    points = outcome.report["control_points"]
+    assert (points["limit"], points["images"], points["dropped"]) == (1, 4, points["points"] - 4)
+    assert points["dropped"] > 0
+    assert any("are left out (option max_points)" in message for _, _, _, message, *_ in stages)
     assert any(message == "Loading LightningDrag" for _, _, _, message, *_ in stages)
 
 

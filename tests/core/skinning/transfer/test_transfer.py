@@ -171,7 +171,6 @@ def test_what_nothing_holds_follows_the_nearest(limbs):
     far = Shape(
         np.concatenate([target.points, target.points[:50] + [0, 0, 5]]),
         np.concatenate([target.facing, target.facing[:50]]),
-        Shape.of_splats(sampled(verts, faces, weights, 4050)[0]).graph,
     )
     result = transfer(Shape.of_mesh(verts[: len(verts) // 2], arm), weights[: len(verts) // 2], far)
     assert not result.taken[-50:].any()
@@ -184,3 +183,58 @@ def test_a_source_elsewhere_or_without_weights_is_refused(limbs):
         transfer(Shape.of_mesh(verts + 50, faces), weights, target)
     with pytest.raises(InputError, match="no weights"):
         transfer(Shape.of_mesh(verts, faces), 0 * weights, target)
+
+
+def similar(angle=0.06, scale=1.03, move=(0.05, -0.04, 0.03)):
+    """A small turn about an oblique axis, a scale and a move; matrix (4, 4)."""
+    axis = np.array([0.3, -0.5, 0.8])
+    x, y, z = axis / np.linalg.norm(axis)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    out = np.eye(4)
+    out[:3, :3] = scale * (np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
+    out[:3, 3] = move
+    return out
+
+
+def bump():
+    """A body without symmetry: an ellipsoid with a nose; verts and faces."""
+    verts, faces = tube(1, 41, 40, 1.0)
+    along = np.sin(np.pi * verts[:, 0])
+    verts = np.stack([-np.cos(np.pi * verts[:, 0]), 0.6 * along * verts[:, 1], 0.4 * along * verts[:, 2]], axis=1)
+    verts += 0.5 * np.exp(-8 * np.square(verts - [0.5, 0.4, 0.3]).sum(1, keepdims=True)) * [0.2, 1.0, 0.6]
+    return verts, faces
+
+
+@pytest.mark.parametrize("of", ["mesh", "splats"])
+def test_a_shape_that_is_a_little_off_is_brought_back(of):
+    verts, faces = bump()
+    weights = np.stack([verts[:, 0] < 0, verts[:, 0] >= 0], axis=1).astype(np.float32)
+    target = Shape.of_splats(sampled(verts, faces, weights, 4000)[0])
+    moved = similar()
+    off = verts @ moved[:3, :3].T + moved[:3, 3]
+    source = Shape.of_mesh(off, faces)
+    if of == "splats":
+        source = Shape.of_splats(sampled(off, faces, weights, 3000, seed=5)[0])
+    found = source.fitted(target, 0.2)
+    back = np.linalg.inv(moved)
+    expected = source.points @ back[:3, :3].T + back[:3, 3]
+    assert np.linalg.norm(found.points - expected, axis=1).max() < 0.012
+    assert np.linalg.norm(source.points - expected, axis=1).max() > 0.08
+    np.testing.assert_allclose(np.linalg.norm(found.facing, axis=1), np.linalg.norm(source.facing, axis=1), atol=1e-6)
+
+
+def test_a_fit_leaves_alone_what_lies_right_or_far_off():
+    verts, faces = bump()
+    weights = np.ones((len(verts), 1), np.float32)
+    target = Shape.of_splats(sampled(verts, faces, weights, 4000)[0])
+    source = Shape.of_mesh(verts, faces)
+    assert np.abs(source.fitted(target, 0.05).points - verts).max() < 0.008
+    far = Shape.of_mesh(verts + 100, faces)
+    assert np.array_equal(far.fitted(target, 0.05).points, far.points)
+
+
+def test_fitting_first_gives_the_weights_of_the_right_place(limbs):
+    verts, faces, weights, target, truth = limbs
+    source = Shape.of_mesh(verts + [0.05, 0.09, 0.02], faces)
+    result = transfer(source, weights, target, fit=True)
+    assert np.abs(result.weights - truth).sum(1).mean() < 0.01
