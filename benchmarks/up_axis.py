@@ -46,9 +46,13 @@ def on_floor(cloud: SplatCloud, *, wall: bool) -> SplatCloud:
     points = np.concatenate(parts).astype(np.float32)
     count = len(points)
     return dataclasses.replace(
-        cloud, means=points, quats=np.tile(np.float32([1, 0, 0, 0]), (count, 1)), sh=np.zeros((count, 1, 3), np.float32),
-        scales=np.full((count, 3), 0.01 * size, np.float32), opacities=np.full(count, 0.9, np.float32),
-    )  # fmt: skip
+        cloud,
+        means=points,
+        quats=np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
+        scales=np.full((count, 3), 0.01 * size, np.float32),
+        opacities=np.full(count, 0.9, np.float32),
+        sh=np.zeros((count, 1, 3), np.float32),
+    )
 
 
 def main() -> None:
