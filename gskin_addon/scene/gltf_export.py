@@ -25,11 +25,11 @@ from ..core.splats.axes import rotate_cloud
 from ..core.splats.cloud import SplatCloud
 from .actions import left_to_guess, own_parts
 from .bone_frames import armature_of
-from .clip_losses import lost_in_clips, said_of_nla
+from .clip_losses import listed, lost_in_clips, said_of_nla
 from .deform_stack import NO_BENDS, lost_in_gltf
 from .fabric import bring_fabrics_back, lay_fabrics_aside
 from .frames import frame_of, go_to
-from .gltf_bends import bends_as_joints, can_be_joints
+from .gltf_bends import bends_as_joints, can_be_joints, idle_groups, idle_groups_aside
 from .gltf_clips import clips_of, keep_own, play_companions, rest_before_clips
 from .gltf_shear import said_of_shear, shear_watched
 from .splat_object import is_splat_object, read_cloud
@@ -116,6 +116,9 @@ class SplatExport:
             _add_splats(gltf2_mesh, cloud)
             armature = armature_of(self._object)
             doubts = [] if armature is None else [*left_to_guess(armature), *said_of_nla(armature)]
+            idle = idle_groups(self._object)
+            if idle:
+                doubts.append(f"{listed(idle)} of '{armature.name}' do not deform here, and do in the file.")
             for sentence in doubts + lost_in_gltf(self._object):
                 ours = " GSkin's own export has them as joints." if sentence.startswith(NO_BENDS) else ""
                 export_settings["log"].warning(sentence + ours)
@@ -163,6 +166,7 @@ def export_glb(
             _discoverable(),
             nodes_hidden(),
             clips_of(armatures, posed=posed, animations=animations) as options,
+            idle_groups_aside(objects),
             bends_as_joints(objects) as most,
             shear_watched(armatures) as sheared,
         ):
