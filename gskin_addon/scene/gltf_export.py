@@ -54,13 +54,16 @@ class SplatExport:
     def pre_export_hook(self, export_settings: dict[str, Any]) -> None:
         """Switch off the splats' node groups: their instances would hide the points and the skin."""
         self._options = {name: export_settings.get(name) for name in ("gltf_loose_points", "gltf_apply")}
+        if _ours:
+            return  # what is hidden then, and comes back, is in `export_glb`
         hide_nodes()
         # post_export_hook is not called when the exporter fails.
         bpy.app.timers.register(show_nodes, first_interval=0.0)
 
     def post_export_hook(self, export_settings: dict[str, Any]) -> None:
         """Switch them on again."""
-        show_nodes()
+        if not _ours:
+            show_nodes()
 
     def gather_node_mesh_hook(
         self, option: Any, blender_object: Any, export_settings: dict[str, Any]
@@ -127,6 +130,8 @@ class SplatExport:
             _failures.append(error)
 
 
+_ours: list[Path] = []
+"""The file that `export_glb` writes, while it runs."""
 _failures: list[GSkinError] = []
 """Errors of the running export; the exporter itself only prints what happens in a hook."""
 
@@ -164,6 +169,7 @@ def export_glb(
             shown([*_seen(objects), *armatures], select=True),
             _selected([*objects, *armatures]),
             _discoverable(),
+            _by_ourselves(path),
             nodes_hidden(),
             clips_of(armatures, posed=posed, animations=animations) as options,
             idle_groups_aside(objects),
@@ -265,6 +271,16 @@ def nodes_hidden() -> Iterator[None]:
         yield
     finally:
         show_nodes()
+
+
+@contextmanager
+def _by_ourselves(path: Path) -> Iterator[None]:
+    """The export is one of `export_glb`, not of Blender's own dialog."""
+    _ours.append(path)
+    try:
+        yield
+    finally:
+        _ours.pop()
 
 
 @contextmanager
