@@ -89,7 +89,8 @@ def test_stretched_time_is_said(tmp_path, capfd):
 
     source = fig.rigged(tmp_path / "in.blend", change)
     assert fig.run("pose", source, "--out", tmp_path / "out.glb") == 0
-    assert "Warning: The scene stretches time (100 to 200), and the clips of 'Rig' are cut off" in capfd.readouterr().err
+    said = capfd.readouterr().err
+    assert "Warning: The scene stretches time (100 to 200), and the clips of 'Rig' are cut off" in said
 
 
 def test_an_export_leaves_the_pose_as_it_was(tmp_path):
