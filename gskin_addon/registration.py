@@ -34,6 +34,7 @@ from .operators import (
     job_presets,
     make_riggable,
     mirror_weights,
+    moves_with,
     pick_splats,
     place,
     pose_rig,
@@ -47,6 +48,7 @@ from .operators import (
     sharpen_weights,
     smooth_weights,
     standard_view,
+    try_it,
 )
 from .scene import (
     fabric_renewal,
@@ -56,6 +58,7 @@ from .scene import (
     handlers,
     helpers,
     leftovers,
+    overlay,
     parted,
     webp_images,
 )
@@ -77,6 +80,7 @@ MODULES = (
     running_job,
     live_pictures,
     preferences,
+    overlay,
     check_python,
     install_runtime,
     repair_runtime,
@@ -99,6 +103,8 @@ MODULES = (
     export_glb,
     confidence,
     select_splats,
+    moves_with,
+    try_it,
     smooth_weights,
     sharpen_weights,
     follow_neighbours,
