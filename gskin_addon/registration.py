@@ -48,6 +48,7 @@ from .operators import (
     sharpen_weights,
     smooth_weights,
     standard_view,
+    transfer_weights,
     try_it,
 )
 from .scene import (
@@ -111,6 +112,7 @@ MODULES = (
     assign_to_bone,
     flood_weights,
     mirror_weights,
+    transfer_weights,
     blend_weights,
     separate_parts,
     fabric,

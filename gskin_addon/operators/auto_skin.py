@@ -27,6 +27,7 @@ from ..session.chosen import chosen_armature, chosen_blender_splats, chosen_spla
 from ..session.preferences import job_python
 from ..session.readiness import what_is_missing
 from ..session.skin_job import SkinJob
+from ._ticking import begin_ticking, end_ticking
 
 Array = NDArray[Any]
 
@@ -67,10 +68,7 @@ class SkinOperator:
             return self.execute(context)
         if not self._start(context):
             return {"CANCELLED"}
-        self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
-        operator: Any = self
-        context.window_manager.modal_handler_add(operator)
-        return {"RUNNING_MODAL"}
+        return begin_ticking(self, context, TICK)
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if event.type == "ESC" and event.value == "PRESS":
@@ -172,9 +170,7 @@ class SkinOperator:
         if self._writing is not None:
             self._writing.close()
             self._writing = None
-        if self._timer is not None:
-            context.window_manager.event_timer_remove(self._timer)
-            self._timer = None
+        end_ticking(self, context)
         status_bar.clear(context)
 
 

@@ -14,7 +14,8 @@ back, it is compared anew.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import bpy
 from bpy.app.handlers import persistent
@@ -74,6 +75,18 @@ def follow_edits(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None
                 _begin()
     finally:
         _busy = False
+
+
+@contextmanager
+def paused() -> Iterator[None]:
+    """Inside the block changes of the scene are none of an artist's; `follow_edits` does not look at them."""
+    global _busy
+    before, _busy = _busy, True
+    try:
+        yield
+    finally:
+        bpy.context.view_layer.update()
+        _busy = before
 
 
 @persistent

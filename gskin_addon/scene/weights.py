@@ -54,9 +54,10 @@ def write_weights(
     """Bind `obj` to `armature` with `weights` (N, B) as vertex groups named after the bones.
 
     bones: the B bone names of the weights' columns (default: the armature's deform bones). Every splat keeps its
-    `max_influences` strongest bones, normalised. Vertex groups of the armature's bones are replaced, other groups
-    stay. confidence: (N,) in 0..1, how sure the weights are; without it an earlier one is removed. start: what to
-    compare the weights with (`compared.py`), its name and its strongest bones; without it an earlier one is removed.
+    `max_influences` strongest bones (0: all of them), normalised; the nodes turn splats by the four strongest. Vertex
+    groups of the armature's bones are replaced, other groups stay. confidence: (N,) in 0..1, how sure the weights are;
+    without it an earlier one is removed. start: what to compare the weights with (`compared.py`), its name and its
+    strongest bones; without it an earlier one is removed.
     One call inside an operator is one undo step. The object gets a new mesh datablock in place of its own, of the same
     name.
 
@@ -119,7 +120,7 @@ class NewWeights:
         self._start, self._bones = start, bones
         place = {name: column for column, name in enumerate(bones)}
         self._columns = [place.get(name, -1) for name in self._deform]
-        width = min(max_influences, len(self._deform))
+        width = min(max_influences or len(self._deform), len(self._deform))
         self._index = np.zeros((len(weights), width), dtype=np.int32)
         self._value = np.zeros((len(weights), width), dtype=np.float32)
         self._groups = GroupsAside(obj)

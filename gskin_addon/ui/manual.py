@@ -23,6 +23,7 @@ MAPPING = (
     *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#weights") for name in (
         "load_weights", "save_weights", "bind_to_armature", "anchor_to_mesh", "release_from_mesh",
     )),
+    ("bpy.ops.gskin.transfer_weights*", f"{_BUTTONS}#weights-from-another-object"),
     *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#after-a-job") for name in (
         "compare_weights", "pose_rig", "try_it", "select_unsure_splats",
     )),

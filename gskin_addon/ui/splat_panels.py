@@ -11,9 +11,10 @@ from ..scene import names
 from ..scene.anchored import proxy_of
 from ..scene.bone_frames import armature_of
 from ..scene.display_colors import SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF
+from ..scene.display_inputs import BY_SHADER, DISPLAY_INPUTS
 from ..scene.fabric import has_fabric
 from ..scene.node_builder import has_input, input_property
-from ..scene.node_groups import BY_SHADER, DISPLAY_INPUTS, find_display
+from ..scene.node_groups import find_display
 from ..scene.overlay import CONFIDENCE, WEIGHTS, overlay_of
 from ..scene.render import changes_colors
 from ..scene.viewport import switch
@@ -82,8 +83,6 @@ class GSKIN_PT_display(_Child, bpy.types.Panel):
 
 def _draw_true_splats(context: bpy.types.Context, splats: bpy.types.Object, layout: bpy.types.UILayout) -> None:
     """The switch between splats and ellipsoids, and why there may be ellipsoids all the same."""
-    if switch.is_native(find_display(splats)):
-        return
     layout.prop(context.scene, "gskin_draw_splats")
     if not switch.setting(context.scene):
         return
@@ -140,6 +139,9 @@ class GSKIN_PT_weights(_Child, bpy.types.Panel):
             row = column.row(align=True)
             for operator, text in pair:
                 row.operator(operator, text=tr(text, BUTTON))
+        row = column.row(align=True)
+        row.operator("gskin.transfer_weights", icon="IMPORT")
+        row.operator("gskin.transfer_weights_to_mesh", text="To Mesh", icon="EXPORT")
         row = column.row(align=True)
         row.operator("gskin.separate_parts", icon="MOD_EDGESPLIT")
         row.operator("gskin.select_seams", text="", icon="RESTRICT_SELECT_OFF")

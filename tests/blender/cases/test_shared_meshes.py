@@ -125,6 +125,22 @@ def test_it_is_said(scene, monkeypatch):
     assert "mesh of its own" not in running_job.state.outcome
 
 
+def test_tools_of_weights_say_it_too(scene, capfd):
+    splats, armature, folder = scene
+    twin = linked_duplicate(splats)
+    choose(twin, armature)
+    fig.save(folder / "twins.blend")
+    capfd.readouterr()
+    assert bpy.ops.gskin.smooth_weights() == {"FINISHED"}
+    assert "'fig.001' has a mesh of its own now; it shared one with 'fig'" in capfd.readouterr().out
+    assert (read_weights(splats)[0] != read_weights(twin)[0]).any()
+    assert bpy.ops.gskin.smooth_weights() == {"FINISHED"}
+    assert "mesh of its own" not in capfd.readouterr().out
+    arguments = ("--object", "fig.001", "--smooth", 2, "--out", folder / "out.blend")
+    assert fig.run("weights", folder / "twins.blend", *arguments) == 0
+    assert "'fig.001' has a mesh of its own now; it shared one with 'fig'." in capfd.readouterr().err
+
+
 def test_twins_that_were_never_bound_end_with_weights_of_their_own(scene):
     splats, armature, folder = scene
     twin = linked_duplicate(splats, armature)
