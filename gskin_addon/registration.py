@@ -34,6 +34,7 @@ from .operators import (
     job_presets,
     make_riggable,
     mirror_weights,
+    moves_with,
     pick_splats,
     place,
     pose_rig,
@@ -48,6 +49,7 @@ from .operators import (
     smooth_weights,
     standard_view,
     transfer_weights,
+    try_it,
 )
 from .scene import (
     fabric_renewal,
@@ -57,6 +59,7 @@ from .scene import (
     handlers,
     helpers,
     leftovers,
+    overlay,
     parted,
     webp_images,
 )
@@ -78,6 +81,7 @@ MODULES = (
     running_job,
     live_pictures,
     preferences,
+    overlay,
     check_python,
     install_runtime,
     repair_runtime,
@@ -100,6 +104,8 @@ MODULES = (
     export_glb,
     confidence,
     select_splats,
+    moves_with,
+    try_it,
     smooth_weights,
     sharpen_weights,
     follow_neighbours,
