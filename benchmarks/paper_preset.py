@@ -53,12 +53,15 @@ def main() -> None:
     parser.add_argument("--batch", type=int, default=20)
     parser.add_argument("--poses", type=int, default=50, help="guidance images of each view")
     parser.add_argument("--fit-steps", type=int, default=500)
+    parser.add_argument("--width", type=int, default=1024, help="channels of the decoder's first voxel")
     parser.add_argument("--out", type=Path, default=Path("out/paper_preset.json"))
     options = parser.parse_args()
     smaller = {"stages": ((options.size, options.iterations),), "batch": options.batch, "poses_per_view": options.poses}
     for name in ("paper", "thorough"):
         presets.PRESETS[name] = replace(presets.PRESETS[name], **smaller)
-    scale = [options.splats, options.size, options.iterations, options.batch, options.poses, options.fit_steps]
+    scale = [options.splats, options.size, options.iterations, options.batch, options.poses]
+    volume = {"fit_steps": options.fit_steps, "width": options.width}
+    scale += list(volume.values())
     known: dict[str, Any] = json.loads(options.out.read_text()) if options.out.is_file() else {}
     print("| asset | row | error | of 4 bones | iterations | core-seconds |\n" + "|---" * 6 + "|", flush=True)
     for name in options.assets.split(","):
@@ -66,7 +69,7 @@ def main() -> None:
         for row in options.rows.split(";"):
             key = json.dumps([name, row, *scale])
             if key not in known:
-                known[key] = measure(asset, ROWS[row], options.fit_steps)
+                known[key] = measure(asset, ROWS[row], volume)
                 options.out.parent.mkdir(parents=True, exist_ok=True)
                 options.out.write_text(json.dumps(known, indent=0))
             found = known[key]
@@ -74,8 +77,8 @@ def main() -> None:
             print(f"| {name} | {row} | {errors} | {found['iterations']} | {found['seconds']:.0f} |", flush=True)
 
 
-def measure(asset: RiggedSplats, row: dict[str, Any], fit_steps: int) -> dict[str, Any]:
-    """Error and cost of a job on an asset."""
+def measure(asset: RiggedSplats, row: dict[str, Any], volume: dict[str, int]) -> dict[str, Any]:
+    """Error and cost of a job on an asset; volume: options of the weight volume, where the row has one."""
     settings: dict[str, Any] = {"guidance": "oracle", "rasterizer": "cpu", **row}
     begun = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
@@ -84,7 +87,7 @@ def measure(asset: RiggedSplats, row: dict[str, Any], fit_steps: int) -> dict[st
             np.savez(truth, weights=asset.weights)
             settings["options"] = {"oracle_weights": str(truth)}
             if "field" not in row and row["preset"] == "paper":
-                settings["field_options"] = {"fit_steps": fit_steps}
+                settings["field_options"] = volume
         checkpoint = Path(folder) / "checkpoint"
         checkpoint.mkdir()
         outcome = run(asset.cloud, asset.skeleton, settings, lambda *_: None, checkpoint)

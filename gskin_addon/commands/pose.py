@@ -63,6 +63,7 @@ def posed(options: argparse.Namespace) -> Iterator[bpy.types.Object]:
     from ..scene import rig_files
     from ..scene.anchored import proxy_of
     from ..scene.blend_rigs import check_whole, own_rig
+    from ..scene.handlers import refresh_all
     from ..scene.proxy_object import followed_armature
     from ..scene.still_pose import Pose, pose_still
     from ..scene.visibility import shown
@@ -70,6 +71,7 @@ def posed(options: argparse.Namespace) -> Iterator[bpy.types.Object]:
     if options.source.suffix.lower() != ".blend":
         raise InputError(f"'{options.source}' is no .blend; give one that `gskin rig` wrote.")
     rig_files.open_blend(options.source)
+    refresh_all()  # a Blender without the add-on may have saved it
     obj = rig_files.find_splats(options.source, options.object)
     armature = followed_armature(obj)
     if armature is not None:

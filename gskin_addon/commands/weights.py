@@ -32,17 +32,17 @@ Change = Callable[[Array], Array]
 
 def run(options: argparse.Namespace) -> None:
     """Do it. Raises InputError for what cannot be used."""
-    to_mesh = options.to_mesh or (None, None)
-    outputs = [path for path in (options.out, options.weights, to_mesh[1]) if path is not None]
+    mesh, mesh_out = options.to_mesh or (None, None)
+    outputs = [path for path in (options.out, options.weights, mesh_out) if path is not None]
     if not outputs:
         raise InputError("Say where to: --out FILE for the splats, --weights W.npz for the weights alone.")
-    if to_mesh[1] is not None:
-        check_output(to_mesh[1], "--to-mesh", (".npz", ".txt", ".glb"))
+    if mesh_out is not None:
+        check_output(mesh_out, "--to-mesh", (".npz", ".txt", ".glb"))
     if options.out is not None:
         check_output(options.out, "--out", (".blend", ".glb"))
     if options.weights is not None:
         check_output(options.weights, "--weights", (".npz", ".txt"))
-    if not options.changes and to_mesh[1] is None:
+    if not options.changes and mesh_out is None:
         raise InputError("Nothing to do; say what to change, for instance --smooth 5 (gskin weights --help).")
     if options.source.suffix.lower() != ".blend":
         raise InputError(f"'{options.source}' is no .blend; give one that `gskin rig` wrote.")
@@ -88,8 +88,8 @@ def run(options: argparse.Namespace) -> None:
         from ..scene.save_weights import save_weights
 
         save_weights(obj, options.weights)
-    if to_mesh[0] is not None:
-        write_for_mesh(*to_mesh, obj, body.shape(), body.skeleton, options.mesh_up, how)
+    if mesh is not None and mesh_out is not None:
+        write_for_mesh(mesh, mesh_out, obj, body.shape(), body.skeleton, options.mesh_up, how)
     if options.out is not None:
         save_rigged(options.out, obj)
     print_message(f"Written: {' and '.join(repr(str(path)) for path in outputs)}.")

@@ -133,7 +133,7 @@ class WeightEdit:
         return iter_edit_weights(splats, self.changes(splats, selected), self.reached(splats, selected))
 
     def reached(self, splats: bpy.types.Object, selected: Array | None) -> Array | None:
-        """Splats (N,) bool that may change; None for all."""
+        """Splats (N,) bool that may change; None for all. `changes` may still mark some of them while it runs."""
         return selected
 
     def _end(self, context: bpy.types.Context, count: int | None, trouble: str) -> set[str]:

@@ -18,6 +18,7 @@ from ..core.job.settings import JobSettings
 from ..scene.blender_splats import make_riggable
 from ..scene.bone_frames import armature_of
 from ..scene.cleanup import begin_selecting
+from ..scene.handlers import settle
 from ..scene.steps import Steps, run_for
 from ..scene.weight_edits import selected_splats
 from ..scene.weights import is_edited
@@ -198,6 +199,8 @@ class GSKIN_OT_auto_skin(SkinOperator, bpy.types.Operator):
         """As a job starts; weights that were changed by hand are asked about first."""
         splats = chosen_splats(context)
         watched = not bpy.app.background and context.window is not None
+        if splats is not None:
+            settle(splats)  # a hand's last change may not have been noticed yet
         if watched and not self.confirmed and splats is not None and is_edited(splats):
             _ours().auto_skin_again("INVOKE_DEFAULT")
             return {"CANCELLED"}  # the other operator starts this one again

@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy_extras.io_utils import ImportHelper
 
-from ..core.errors import GSkinError
 from ..core.job.skinned_files import read_weights
 from ..scene.armature import deform_bone_names
 from ..scene.binding import bind, check_splats
-from ..scene.bone_frames import armature_of
-from ..scene.fabric import iter_triangles, lay_under, strongest_of
+from ..scene.fabric import iter_fabric, lay_under, strongest_of
 from ..scene.influences import splats_without_bones
 from ..scene.object_ref import ObjectRef
 from ..scene.single_user import own_mesh, said_of, sharers
@@ -46,7 +44,8 @@ class GSKIN_OT_load_weights(Sliced, bpy.types.Operator, ImportHelper):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         self.asked = True
-        return super().invoke(context, event)
+        answer: set[str] = set(super().invoke(context, event))
+        return answer
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         return self.begin(context)
@@ -58,10 +57,10 @@ class GSKIN_OT_load_weights(Sliced, bpy.types.Operator, ImportHelper):
         path, bones = Path(self.filepath), deform_bone_names(armature)
         result = yield from in_thread(lambda: read_weights(path, bones))
         shared = said_of(splats, sharers(splats))
-        triangles = None
+        fabric = None
         if paintable and len(result.weights) == splat_count(splats):
             bone = strongest_of(result.weights, result.bones, armature)
-            triangles = yield from part_of(iter_triangles(splats, bone, armature), 0.0, 0.3)
+            fabric = yield from part_of(iter_fabric(splats, bone, armature), 0.0, 0.3)
         writing = iter_write_weights(
             splats,
             armature,
@@ -71,8 +70,8 @@ class GSKIN_OT_load_weights(Sliced, bpy.types.Operator, ImportHelper):
             confidence=result.confidence,
         )
         yield from part_of(writing, 0.3, 1.0)
-        if triangles is not None:
-            lay_under(splats, triangles)
+        if fabric is not None:
+            lay_under(splats, fabric)
         words = f"{len(result.weights):,} splats follow {len(result.bones)} bones of '{name}'"
         return f"{words}; {shared}" if shared else words
 
@@ -100,17 +99,17 @@ class GSKIN_OT_bind_to_armature(Sliced, bpy.types.Operator):
         splats, armature = chosen_splats(context), chosen_armature(context)
         check_splats(splats)
         name, bones, ref = armature.name, deform_bone_names(armature), ObjectRef(splats)
-        triangles = None
+        fabric = None
         if panel_settings(context).paintable:
             weights, _ = yield from part_of(iter_read_weights(splats, bones), 0.0, 0.4)
             bone = strongest_of(weights, bones, armature)
-            triangles = yield from part_of(iter_triangles(splats, bone, armature), 0.4, 0.9)
+            fabric = yield from part_of(iter_fabric(splats, bone, armature), 0.4, 0.9)
             splats = ref.find()
         shared = said_of(splats, own_mesh(splats))
         bind(splats, armature)
         update_rotation_weights(splats)
-        if triangles is not None:
-            lay_under(splats, triangles)
+        if fabric is not None:
+            lay_under(splats, fabric)
         still, total = splats_without_bones(splats), splat_count(splats)
         if shared:
             self.report({"INFO"}, shared)
@@ -122,30 +121,6 @@ class GSKIN_OT_bind_to_armature(Sliced, bpy.types.Operator):
             )
             return ""
         return f"{total:,} splats follow '{name}'"
-
-
-class GSKIN_OT_update_rotation_weights(bpy.types.Operator):
-    """Take changed vertex groups over into the rotation of the splats. Leaving Weight Paint does it by itself"""
-
-    bl_idname = "gskin.update_rotation_weights"
-    bl_label = "Update Splat Rotation Weights"
-    bl_options = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        splats = chosen_splats(context)
-        if splats is None or armature_of(splats) is None:
-            cls.poll_message_set("Select splats that follow an armature")
-            return False
-        return _not_edited(cls, context)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        try:
-            update_rotation_weights(chosen_splats(context))
-        except GSkinError as error:
-            self.report({"ERROR"}, error.plain)
-            return {"CANCELLED"}
-        return {"FINISHED"}
 
 
 def _has_both(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
@@ -165,4 +140,4 @@ def _not_edited(operator: type[bpy.types.Operator], context: bpy.types.Context) 
     return True
 
 
-CLASSES = (GSKIN_OT_load_weights, GSKIN_OT_bind_to_armature, GSKIN_OT_update_rotation_weights)
+CLASSES = (GSKIN_OT_load_weights, GSKIN_OT_bind_to_armature)

@@ -13,6 +13,7 @@ import mathutils
 from ..core.errors import InputError
 from .actions import drop_foreign
 from .dependencies import bone_shapes, needed_objects
+from .frames import frame_of, go_to
 from .helpers import is_helper
 
 _DRAWN = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
@@ -216,8 +217,8 @@ def _take_over_scene(obj: bpy.types.Object, scenes: list[bpy.types.Scene]) -> No
     for name, value in there.items():
         if name not in here and isinstance(value, (bool, int, float, str)):
             here[name] = value
-    frame, part = there.frame_current, there.frame_subframe
+    frame = frame_of(there)
     for scene in scenes:
         scene.user_remap(here)
         bpy.data.scenes.remove(scene)
-    here.frame_set(frame, subframe=part)
+    go_to(here, frame)

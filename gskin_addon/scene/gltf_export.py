@@ -28,6 +28,7 @@ from .bone_frames import armature_of
 from .clip_losses import lost_in_clips, said_of_nla
 from .deform_stack import NO_BENDS, lost_in_gltf
 from .fabric import bring_fabrics_back, lay_fabrics_aside
+from .frames import frame_of, go_to
 from .gltf_bends import bends_as_joints, can_be_joints
 from .gltf_clips import clips_of, keep_own, play_companions, rest_before_clips
 from .gltf_shear import said_of_shear, shear_watched
@@ -153,7 +154,7 @@ def export_glb(
     if not any(is_splat_object(obj) for obj in objects):
         raise InputError(f"'{path}': there are no splats among the objects to export; choose a splat object.")
     armatures = list(dict.fromkeys(a for obj in objects if (a := armature_of(obj)) is not None))
-    frame = bpy.context.scene.frame_current
+    frame = frame_of(bpy.context.scene)
     try:
         with (
             replaced(path, ".glb") as temporary,
@@ -192,8 +193,8 @@ def export_glb(
         raise GSkinError(f"'{path}': Blender's glTF exporter failed ({_last_error(error)}).") from error
     finally:
         # The exporter moves to frame 0 and stays there when it fails.
-        if bpy.context.scene.frame_current != frame:
-            bpy.context.scene.frame_set(frame)
+        if frame_of(bpy.context.scene) != frame:
+            go_to(bpy.context.scene, frame)
     clipped = [armature for armature in armatures if animations]
     doubts = [sentence for armature in clipped for sentence in left_to_guess(armature)]
     doubts += [s for armature in clipped if own_parts(armature) for s in lost_in_clips(armature, posed=posed)]

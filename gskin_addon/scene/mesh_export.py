@@ -43,6 +43,6 @@ def export_skinned_mesh(
     except RuntimeError as error:
         raise GSkinError(f"'{path}': Blender's glTF exporter failed ({first_line(error)}).") from error
     finally:
-        data = mesh.data
+        data: Any = mesh.data
         bpy.data.objects.remove(mesh)
         bpy.data.meshes.remove(data)

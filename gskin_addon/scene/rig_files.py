@@ -13,6 +13,7 @@ from ..core.files import replaced
 from .actions import drop_foreign
 from .blend_rigs import append_rig, keep_only
 from .dependencies import needed_objects
+from .gltf_readable import readable
 from .splat_object import is_splat_object
 
 ARMATURE_SUFFIXES = (".blend", ".glb", ".gltf", ".fbx")
@@ -47,10 +48,13 @@ def import_armature(path: Path, name: str | None = None, notes: list[str] | None
     return armature
 
 
-def import_objects(path: Path) -> list[bpy.types.Object]:
-    """All objects of a .glb, .gltf or .fbx file, added to the scene. Raises InputError where Blender cannot read it."""
+def import_objects(path: Path, *, skeletons: bool = True) -> list[bpy.types.Object]:
+    """All objects of a .glb, .gltf or .fbx file, added to the scene; skeletons: see `gltf_readable.readable`.
+
+    Raises InputError where Blender cannot read it.
+    """
     before = set(bpy.data.objects)
-    _import(path)
+    _import(path, skeletons=skeletons)
     return [obj for obj in bpy.data.objects if obj not in before]
 
 
@@ -88,7 +92,7 @@ def _append(path: Path, name: str | None, notes: list[str] | None) -> bpy.types.
         raise InputError(f"'{path}' cannot be read as a .blend ({_reason(error)}); {_remedy(error)}.") from error
 
 
-def _import(path: Path) -> None:
+def _import(path: Path, *, skeletons: bool = True) -> None:
     try:
         if path.suffix.lower() == ".fbx":
             # Other programs' bones do not lie along their y axis; this turns them to their children.
@@ -99,7 +103,8 @@ def _import(path: Path) -> None:
             gltf: Any = bpy.ops.import_scene.gltf
             if "disable_bone_shape" in gltf.get_rna_type().properties:
                 options["disable_bone_shape"] = True
-            bpy.ops.import_scene.gltf(filepath=str(path.absolute()), **options)
+            with readable(path, skeletons=skeletons) as copy:
+                bpy.ops.import_scene.gltf(filepath=str(copy.absolute()), **options)
     except (RuntimeError, AttributeError, ValueError, KeyError, TypeError, IndexError, OSError) as error:
         raise InputError(f"'{path}' cannot be imported ({_reason(error)}); export it again.") from error
 

@@ -19,6 +19,7 @@ from .armature import deform_bone_names, pose_transforms_of
 from .clip_losses import listed, posed_by_hand
 from .controls import followers, set_property, switched, switches
 from .dependencies import is_animated, needed_objects, unheard_drivers
+from .frames import frame_of, go_to
 from .posing import Channels, channels, hold_pose, pose_matrices, restore, turn_bones
 from .weights import read_weights
 
@@ -61,8 +62,7 @@ def pose_still(obj: bpy.types.Object, armature: bpy.types.Object, wanted: Pose) 
     if wanted.frame is not None:
         if not is_animated(needed):
             notes.append(f"Nothing moves '{armature.name}': it is the same at every frame")
-        whole, part = divmod(wanted.frame, 1.0)
-        bpy.context.scene.frame_set(int(whole), subframe=part)
+        go_to(bpy.context.scene, wanted.frame)
         by_hand = posed_by_hand(armature) if wanted.action is None and own_parts(armature) else []
         if by_hand:
             verb = "has no keys and stands" if len(by_hand) == 1 else "have no keys and stand"
@@ -178,8 +178,7 @@ def _moves_nothing(
 
 
 def _evaluate_frame() -> None:
-    scene = bpy.context.scene
-    scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
+    go_to(bpy.context.scene, frame_of(bpy.context.scene))
 
 
 def _check_that_it_stays(armature: bpy.types.Object) -> None:

@@ -20,7 +20,7 @@ from .anchored import proxy_of, read_world_mesh
 from .armature import deform_bone_names
 from .binding import follow
 from .bone_frames import armature_of
-from .fabric import iter_triangles, lay_under
+from .fabric import iter_fabric, lay_under
 from .object_ref import ObjectRef
 from .proxy_object import followed_armature
 from .seams import read_seams
@@ -102,13 +102,13 @@ def iter_transfer_to_splats(
         edits = iter_edit_weights(splats, lambda _: result.weights, selected, lock=lock)
         count = yield from part_of(edits, 0.6, 1.0)
     else:
-        triangles = None
+        fabric = None
         if paintable:
             bone = result.weights.argmax(axis=1)
-            triangles = yield from part_of(iter_triangles(splats, bone, armature), 0.6, 0.7)
+            fabric = yield from part_of(iter_fabric(splats, bone, armature), 0.6, 0.7)
         yield from part_of(iter_write_weights(splats, armature, result.weights, bones), 0.7, 1.0)
-        if triangles is not None:
-            lay_under(splats, triangles)
+        if fabric is not None:
+            lay_under(splats, fabric)
         count = len(result.weights)
     return Report(count, len(result.weights), int(result.taken.sum()), left_out)
 

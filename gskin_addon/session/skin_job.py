@@ -34,7 +34,7 @@ from ..scene.attributes import read_attribute, write_attribute
 from ..scene.binding import bind
 from ..scene.bone_frames import armature_of
 from ..scene.compared import iter_shown, keep
-from ..scene.fabric import iter_triangles, lay_under
+from ..scene.fabric import iter_fabric, lay_under
 from ..scene.object_ref import object_by_uid
 from ..scene.proxy_object import iter_write_weights_through
 from ..scene.seams import read_seams
@@ -206,10 +206,10 @@ class SkinJob:
         name, words = armature.name, ""
         shared = said_of(splats, sharers(splats))
         options: dict[str, Any] = {"max_influences": self.max_influences, "confidence": result.confidence}
-        triangles = None
+        fabric = None
         if self.paintable and not proxies:
             bone = result.weights.argmax(axis=1)
-            triangles = yield from part_of(iter_triangles(splats, bone, armature), 0.0, 0.1)
+            fabric = yield from part_of(iter_fabric(splats, bone, armature), 0.0, 0.1)
         if proxies and self.anchored:
             if result.mesh_weights is None:
                 raise GSkinError("The worker gave no weights for the mesh; run Auto-Skin again.")
@@ -224,8 +224,8 @@ class SkinJob:
             elif result.start is not None:
                 options["start"] = str(result.report.get("start") or "initial weights"), result.start
             yield from iter_write_weights(splats, armature, result.weights, result.bones, **options)
-        if triangles is not None:
-            lay_under(splats, triangles)
+        if fabric is not None:
+            lay_under(splats, fabric)
         if not self.kept:
             shutil.rmtree(self.client.folder, ignore_errors=True)
         seconds = time.monotonic() - self.started

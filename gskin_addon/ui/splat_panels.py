@@ -27,6 +27,13 @@ _EDITS = (
 )
 """Changes of the weights that are there, by operator and what its button says."""
 
+_SELECTS = (
+    (("gskin.select_by_bone", "By Bone"), ("gskin.select_by_color", "By Color")),
+    (("gskin.grow_splat_selection", "Grow"), ("gskin.shrink_splat_selection", "Shrink")),
+    (("gskin.select_linked_splats", "Linked"), ("gskin.select_in_front", "Front Side Only")),
+)
+"""Selections, in the same way."""
+
 
 class _Child:
     bl_space_type = "VIEW_3D"
@@ -81,6 +88,29 @@ def _draw_true_splats(context: bpy.types.Context, splats: bpy.types.Object, layo
         layout.operator("gskin.renew_display", icon="FILE_REFRESH")
 
 
+class GSKIN_PT_select(_Child, bpy.types.Panel):
+    bl_idname = "GSKIN_PT_select"
+    bl_label = "Select"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return chosen_splats(context) is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        column = self.layout.column()
+        column.enabled = state.job is None
+        for pair in _SELECTS:
+            row = column.row(align=True)
+            for operator, text in pair:
+                row.operator(operator, text=tr(text, BUTTON))
+        if names.CONFIDENCE in chosen_splats(context).data.attributes:
+            row = column.row(align=True)
+            row.operator("gskin.select_unsure_splats", text=tr("Least Sure", BUTTON))
+            row.operator("gskin.next_unsure_cluster", text="", icon="TRIA_LEFT").step = -1
+            row.operator("gskin.next_unsure_cluster", text=tr("Worst Cluster", BUTTON)).step = 1
+            row.operator("gskin.next_unsure_cluster", text="", icon="TRIA_RIGHT").step = 1
+
+
 class GSKIN_PT_weights(_Child, bpy.types.Panel):
     bl_idname = "GSKIN_PT_weights"
     bl_label = "Weights"
@@ -96,7 +126,6 @@ class GSKIN_PT_weights(_Child, bpy.types.Panel):
         row.operator("gskin.load_weights", text="Load...", icon="FILE_FOLDER")
         row.operator("gskin.save_weights", text="Save...", icon="FILE_TICK")
         column.operator("gskin.bind_to_armature", icon="LINKED")
-        column.operator("gskin.update_rotation_weights", icon="FILE_REFRESH")
         column.separator()
         for pair in _EDITS:
             row = column.row(align=True)
@@ -149,4 +178,4 @@ class GSKIN_PT_hygiene(_Child, bpy.types.Panel):
         column.operator("gskin.clean_splats", icon="BRUSH_DATA")
 
 
-CLASSES = (GSKIN_PT_display, GSKIN_PT_weights, GSKIN_PT_export, GSKIN_PT_hygiene)
+CLASSES = (GSKIN_PT_display, GSKIN_PT_select, GSKIN_PT_weights, GSKIN_PT_export, GSKIN_PT_hygiene)

@@ -92,7 +92,7 @@ def _arrays(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) 
 
 def _mesh_arrays(path: Path, arrays: dict[str, Array]) -> tuple[Array, Array]:
     verts, faces = arrays["verts"], arrays["faces"]
-    fits = verts.ndim == 2 and verts.shape[1:] == (3,) and verts.dtype.kind == "f" and np.isfinite(verts).all()
+    fits = verts.ndim == 2 and verts.shape[1:] == (3,) and verts.dtype.kind == "f" and bool(np.isfinite(verts).all())
     fits &= faces.ndim == 2 and faces.shape[1:] == (3,) and faces.dtype.kind in "iu" and len(faces) > 0
     if not fits or faces.min() < 0 or faces.max() >= len(verts):
         raise InputError(f"'{path}' does not hold a mesh of triangles (verts, faces); write it again.")

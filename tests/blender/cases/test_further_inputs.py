@@ -187,3 +187,17 @@ def test_names_of_files_may_be_anything_a_system_takes(tmp_path, monkeypatch):
     fig.rigged(tmp_path / "-in ü'.blend")
     assert fig.run("pose", "--out=-out  ü.ply", "--", "-in ü'.blend") == 0
     np.testing.assert_allclose(read_ply(tmp_path / "-out  ü.ply").cloud.means, fig.cloud().means, atol=1e-5)
+
+
+def test_frames_may_be_negative_and_lie_between_two(tmp_path):
+    def change(splats, armature):
+        quats = {-20: (1, 0, 0, 0), -10: (0.8, 0.6, 0, 0)}
+        fig.key(armature, "rotation_quaternion", quats, armature.pose.bones["arm.L"], "Early")
+
+    low, middle, high = (posed_in(tmp_path, "ply", change, "--frame", frame) for frame in (-15, -14.5, -14))
+    wanted = posed_in(tmp_path, "blend", change, "--frame", -14.5)
+    np.testing.assert_allclose(middle, wanted, atol=1e-5)
+    away = np.linalg.norm(low - high, axis=1)
+    assert away.max() > 0.03
+    assert (np.linalg.norm(middle - low, axis=1) < 0.6 * away + 1e-6).all()
+    assert (np.linalg.norm(middle - high, axis=1) < 0.6 * away + 1e-6).all()

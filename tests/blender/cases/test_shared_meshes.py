@@ -14,7 +14,7 @@ from gskin_addon.scene.armature import read_skeleton
 from gskin_addon.scene.bone_frames import armature_of
 from gskin_addon.scene.node_groups import find_display
 from gskin_addon.scene.posing import posed_cloud, turn_bones
-from gskin_addon.scene.weights import read_weights
+from gskin_addon.scene.weights import read_weights, update_rotation_weights
 from gskin_addon.session import running_job
 from gskin_addon.session.readiness import checks
 
@@ -157,7 +157,7 @@ def test_painting_a_shared_mesh_of_one_rig_does_not_part_it(scene):
     twin = linked_duplicate(splats)
     splats.vertex_groups["head"].add(range(10), 1.0, "REPLACE")
     choose(splats, armature)
-    bpy.ops.gskin.update_rotation_weights()
+    update_rotation_weights(splats)
     assert twin.data == splats.data
 
 

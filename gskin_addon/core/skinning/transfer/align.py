@@ -46,7 +46,7 @@ def align(
     # In units of the shape, about its middle: turns, moves and the scale weigh alike.
     start, goal = (np.asarray(points, np.float64) - centre) / size, (goal - centre) / size
     matrix = np.eye(4)
-    first = None
+    first = np.inf
     for turn in range(_TURNS):
         tick(turn / _TURNS)
         moved = start @ matrix[:3, :3].T + matrix[:3, 3]
@@ -56,7 +56,7 @@ def align(
         if good.sum() < 10:
             return np.eye(4)
         good &= way <= np.quantile(way[good], _KEPT)
-        first = float(way[good].mean()) if first is None else first
+        first = float(way[good].mean()) if turn == 0 else first
         step = _step(near[good], goal[good], normal[good])
         matrix = step @ matrix
         if np.abs(step - np.eye(4)).max() < 1e-6:

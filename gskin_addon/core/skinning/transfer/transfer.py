@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,36 +25,41 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """What weights go to or come from: points (N, 3) in the rest pose, world; facing (N, 3), see `facing`; graph: which
-    points are neighbours; faces (F, 3) of a mesh, None for splats."""
+    """What weights go to or come from: points (N, 3) in the rest pose, world; facing (N, 3), see `facing`; faces (F, 3)
+    of a mesh, None for splats; walls (N,): labels of splats, see `walls`, over which nothing is inpainted."""
 
     points: Array
     facing: Array
-    graph: BodyGraph
     faces: Array | None = None
+    walls: Array | None = None
 
     @classmethod
     def of_splats(cls, cloud: SplatCloud, walls: Array | None = None, tick: Tick = silent) -> Shape:
-        """walls (N,): labels, see `walls`, over which nothing is inpainted."""
-        facing = splat_facing(cloud, stretch(tick, 0.0, 0.6))
-        graph = body_graph(cloud.means, walls=walls)
-        return cls(np.asarray(cloud.means, np.float64), facing, _without_contacts(graph, facing))
+        """The splats of a cloud."""
+        return cls(np.asarray(cloud.means, np.float64), splat_facing(cloud, tick), None, walls)
 
     @classmethod
     def of_mesh(cls, verts: Array, faces: Array) -> Shape:
         """verts (V, 3), faces (F, 3). Vertices at one place, as files have them along seams of textures, are one."""
         verts, faces = np.asarray(verts, np.float64), np.asarray(faces)
         welded = _first_there(verts)
-        neighbour = mesh_neighbours(len(verts), welded[faces])[welded]
-        own = np.arange(len(verts))[:, None]
-        length = np.linalg.norm(verts[neighbour] - verts[:, None], axis=2)
-        length[(neighbour == own) | (neighbour == welded[:, None])] = np.inf
-        twin = np.where(welded != np.arange(len(verts)), 0.0, np.inf)[:, None]
-        graph = BodyGraph(
+        return cls(verts, vertex_facing(verts, welded[faces])[welded], faces)
+
+    @cached_property
+    def graph(self) -> BodyGraph:
+        """Which points are neighbours: along the edges of a mesh, or of splats those around each, but for gaps, walls
+        and what faces it, where two parts of a body touch."""
+        if self.faces is None:
+            return _without_contacts(body_graph(self.points, walls=self.walls), self.facing)
+        own, welded = np.arange(len(self.points)), _first_there(self.points)
+        neighbour = mesh_neighbours(len(own), welded[self.faces])[welded]
+        length = np.linalg.norm(self.points[neighbour] - self.points[:, None], axis=2)
+        length[(neighbour == own[:, None]) | (neighbour == welded[:, None])] = np.inf
+        twin = np.where(welded != own, 0.0, np.inf)
+        return BodyGraph(
             np.concatenate([neighbour, welded[:, None]], axis=1),
-            np.concatenate([length, twin], axis=1).astype(np.float32),
+            np.concatenate([length, twin[:, None]], axis=1).astype(np.float32),
         )
-        return cls(verts, vertex_facing(verts, welded[faces])[welded], graph, faces)
 
     def fitted(self, onto: Shape, reach: float, tick: Tick = silent) -> Shape:
         """The shape brought onto another one, see `align`; reach: a share of its diagonal."""
@@ -64,7 +70,7 @@ class Shape:
         matrix = align(points, facing, onto.points, onto.facing, way, tick)
         rotation = matrix[:3, :3] / np.cbrt(np.linalg.det(matrix[:3, :3]))
         moved = self.points @ matrix[:3, :3].T + matrix[:3, 3]
-        return Shape(moved, self.facing @ rotation.T, self.graph, self.faces)
+        return Shape(moved, self.facing @ rotation.T, self.faces, self.walls)
 
 
 @dataclass(frozen=True, eq=False)

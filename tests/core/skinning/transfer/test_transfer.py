@@ -171,7 +171,6 @@ def test_what_nothing_holds_follows_the_nearest(limbs):
     far = Shape(
         np.concatenate([target.points, target.points[:50] + [0, 0, 5]]),
         np.concatenate([target.facing, target.facing[:50]]),
-        Shape.of_splats(sampled(verts, faces, weights, 4050)[0]).graph,
     )
     result = transfer(Shape.of_mesh(verts[: len(verts) // 2], arm), weights[: len(verts) // 2], far)
     assert not result.taken[-50:].any()
