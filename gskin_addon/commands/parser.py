@@ -12,6 +12,7 @@ from ..core.guidance import DEFAULT_GUIDANCE, GUIDANCE
 from ..core.job.settings import FRONTS, PRESET_FIELD
 from ..core.job.up_axis import UP_CHOICES
 from ..core.render.backends import AUTO, BACKENDS
+from ..core.skeleton.fit import KINDS, LOOKS
 from ..core.skinning.fields import WEIGHT_FIELDS
 from ..core.skinning.initial import DEFAULT_INITIAL, INITIAL_WEIGHTS
 from ..core.skinning.presets import DEFAULT_PRESET, PRESETS
@@ -44,6 +45,7 @@ def build() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"gskin {VERSION}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_Parser)
     _rig(commands)
+    _fit(commands)
     _pose(commands)
     _render(commands)
     _convert(commands)
@@ -62,9 +64,10 @@ def _rig(commands: Any) -> None:
         allow_abbrev=False,
     )
     rig.add_argument("splats", type=Path, metavar="SPLATS", help="Gaussian splats (.ply, .spz, .sog, ...)")
-    rig.add_argument(
-        "--armature", type=Path, required=True, metavar="RIG", help="armature: .blend, .glb, .gltf or .fbx"
-    )
+    skeleton = rig.add_mutually_exclusive_group(required=True)
+    skeleton.add_argument("--armature", type=Path, metavar="RIG", help="armature: .blend, .glb, .gltf or .fbx")
+    skeleton.add_argument("--fit", choices=tuple(KINDS), help="fit a skeleton of this kind to the splats")
+    _fitting(rig)
     rig.add_argument("--armature-name", metavar="NAME", help="which armature, where the file has several")
     rig.add_argument("--out", type=Path, required=True, metavar="OUT", help="what to write: .blend or .glb")
     rig.add_argument("--weights", type=Path, metavar="W.npz", help="also write the weights as arrays")
@@ -133,6 +136,52 @@ def _rig(commands: Any) -> None:
     rig.add_argument("--python", metavar="PYTHON", default="", help="the Python with torch that does the work")
     _progress(rig)
     _common(rig)
+
+
+def _fit(commands: Any) -> None:
+    fit = commands.add_parser(
+        "fit",
+        help="fit a skeleton to splats, or bring one of another program into them",
+        description="Fit the skeleton of a person or an animal to splats, or bring the joints of another program into "
+        "them, and save it: with the splats as .blend, or the bones alone as .json.",
+        allow_abbrev=False,
+    )
+    fit.add_argument("splats", type=Path, metavar="SPLATS", help="Gaussian splats (.ply, .spz, .sog, ...)")
+    fit.add_argument("--kind", choices=tuple(KINDS), help="what body it is")
+    fit.add_argument(
+        "--skeleton", type=Path, metavar="FILE", help="joints as .txt or .npz, .bvh, .fbx, .vrm, .glb or .blend"
+    )
+    fit.add_argument("--out", type=Path, required=True, metavar="OUT", help="what to write: .blend or .json")
+    _up(fit, UP_CHOICES, "the splat file's up axis (default: guessed)")
+    fit.add_argument("--drop-invalid", action="store_true", help="leave out splats with NaN or infinite values")
+    _fitting(fit)
+    _common(fit)
+
+
+def _fitting(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--looks-to", choices=("auto", *LOOKS), default="auto", help="of a fit: to where the body looks, z up"
+    )
+    parser.add_argument(
+        "--sides",
+        choices=("auto", "alike", "apart"),
+        default="auto",
+        help="of a fit: both sides as mirror images, or each as it is (default: where they nearly are)",
+    )
+    parser.add_argument(
+        "--landmark",
+        action="append",
+        nargs=4,
+        default=[],
+        metavar=("NAME", "X", "Y", "Z"),
+        help="of a fit: where hand.L, foot.R, head and so on end, z up; repeatable",
+    )
+    parser.add_argument(
+        "--no-rigify",
+        dest="rigify",
+        action="store_false",
+        help="of a fit: plain bones, without Rigify's settings",
+    )
 
 
 def _pose(commands: Any) -> None:

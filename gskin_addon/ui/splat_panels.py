@@ -82,6 +82,25 @@ def _draw_true_splats(context: bpy.types.Context, splats: bpy.types.Object, layo
         layout.operator("gskin.renew_display", icon="FILE_REFRESH")
 
 
+class GSKIN_PT_skeleton(_Child, bpy.types.Panel):
+    bl_idname = "GSKIN_PT_skeleton"
+    bl_label = "Skeleton"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return chosen_splats(context) is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        column = self.layout.column()
+        column.enabled = state.job is None
+        column.operator("gskin.fit_human", icon="OUTLINER_OB_ARMATURE")
+        column.operator("gskin.fit_quadruped", icon="OUTLINER_OB_ARMATURE")
+        row = column.row(align=True)
+        row.operator_menu_enum("gskin.mark_landmark", "name", icon="EMPTY_AXIS")
+        row.operator("gskin.clear_landmarks", text="", icon="X")
+        column.operator("gskin.import_skeleton", text="Import Skeleton...", icon="IMPORT")
+
+
 class GSKIN_PT_weights(_Child, bpy.types.Panel):
     bl_idname = "GSKIN_PT_weights"
     bl_label = "Weights"
@@ -147,4 +166,4 @@ class GSKIN_PT_hygiene(_Child, bpy.types.Panel):
         column.operator("gskin.clean_splats", icon="BRUSH_DATA")
 
 
-CLASSES = (GSKIN_PT_display, GSKIN_PT_weights, GSKIN_PT_export, GSKIN_PT_hygiene)
+CLASSES = (GSKIN_PT_display, GSKIN_PT_skeleton, GSKIN_PT_weights, GSKIN_PT_export, GSKIN_PT_hygiene)

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Fitted skeletons: joints near those of a person whose joints are known, however it stands and however large it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import capsule_person as persons
+import numpy as np
+import pytest
+
+from gskin_addon.core.errors import InputError
+from gskin_addon.core.rig.mirror import mirrored_name
+from gskin_addon.core.skeleton import layouts
+from gskin_addon.core.skeleton.fit import fit
+from gskin_addon.core.skeleton.landmarks import move_to_landmarks
+from gskin_addon.core.skeleton.stance import slant
+
+
+@pytest.fixture(scope="module")
+def person():
+    return persons.person()
+
+
+def placed_joints(found):
+    placement = found.placement
+    return {name: placement[:3, :3] @ place + placement[:3, 3] for name, place in found.joints.items()}
+
+
+def mean_error(found, joints, diagonal):
+    places = placed_joints(found)
+    return np.mean([np.linalg.norm(places[name] - place) for name, place in joints.items()]) / diagonal
+
+
+def test_joints_of_a_person_lie_where_they_are(person):
+    found = fit("human", person)
+    diagonal = np.linalg.norm(np.ptp(person.means, axis=0))
+    assert mean_error(found, persons.joints(), diagonal) < 0.04
+    assert not found.unsure
+    skeleton = found.placed()
+    skeleton.validate()
+    assert skeleton.heads[:, 2].min() > -0.01  # feet on the floor
+    assert skeleton.tails[skeleton.names.index("spine.006"), 2] == pytest.approx(person.means[:, 2].max(), abs=0.06)
+
+
+@pytest.mark.parametrize("degrees", [90, -130])
+def test_it_follows_a_body_that_is_turned_moved_and_scaled(person, degrees):
+    angle = np.radians(degrees)
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    quat = np.array([np.cos(angle / 2), 0, 0, np.sin(angle / 2)], np.float32)
+    moved = replace(
+        person,
+        means=(100 * person.means @ turn.T + [50, -20, 7]).astype(np.float32),
+        quats=np.tile(quat, (len(person.means), 1)),
+        scales=person.scales * 100,
+    )
+    found = fit("human", moved)
+    expected = {name: 100 * turn @ place + [50, -20, 7] for name, place in persons.joints().items()}
+    assert mean_error(found, expected, 100 * np.linalg.norm(np.ptp(person.means, axis=0))) < 0.045
+
+
+def test_sides_are_mirror_images_or_not_as_wished(person):
+    for wanted in (True, False):
+        found = fit("human", person, front="-y", alike=wanted)
+        assert found.alike is wanted
+        names, heads = found.skeleton.names, found.skeleton.heads
+        twin = [names.index(mirrored_name(name)) for name in names]
+        off = np.abs(heads[twin] * [-1, 1, 1] - heads).max()
+        assert (off < 1e-12) is wanted
+
+
+def test_landmarks_bring_the_ends_of_limbs_there(person):
+    goal = np.array([0.75, -0.1, 1.3])
+    marks = {"hand.L": goal, "knee.R": np.array([-0.2, 0, 0.5])}
+    found = fit("human", person, front="-y", alike=False, landmarks=marks)
+    plain = fit("human", person, front="-y", alike=False)
+    joints, before = placed_joints(found), placed_joints(plain)
+    np.testing.assert_allclose(joints["knee.R"], [-0.2, 0, 0.5], atol=1e-9)
+    np.testing.assert_allclose(joints["shoulder.L"], before["shoulder.L"], atol=1e-9)
+    way, to_goal = joints["wrist.L"] - joints["shoulder.L"], goal - joints["shoulder.L"]
+    assert way @ to_goal / np.linalg.norm(way) / np.linalg.norm(to_goal) > 0.97
+    with pytest.raises(InputError, match=r"'hand.X' is no landmark of this body; choose one of head, hand.L"):
+        move_to_landmarks(plain.joints, {"hand.X": goal}, person.means)
+
+
+def test_what_cannot_be_fitted_says_so(person):
+    with pytest.raises(InputError, match="'fish' is no kind of skeleton; choose one of human"):
+        fit("fish", person)
+    with pytest.raises(InputError, match="'up' is no direction to look to"):
+        fit("human", person, front="up")
+    with pytest.raises(InputError, match="at least two splats"):
+        fit("human", person.select(np.arange(len(person.means)) < 1))
+
+
+@pytest.mark.parametrize("bones", [layouts.HUMAN, layouts.QUADRUPED, layouts.BIRD])
+def test_tables_of_bones_list_parents_first_and_have_both_sides(bones):
+    names = [bone.name for bone in bones]
+    assert len(set(names)) == len(names)
+    for number, bone in enumerate(bones):
+        assert not bone.parent or bone.parent in names[:number]
+        assert "*" not in bone.parent or "*" in bone.name
+
+
+def test_a_slanted_body_is_set_straight_and_a_straight_one_left(person):
+    assert slant(person.means.astype(float)) == 0.0
+    angle = np.radians(24)
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+    assert slant(person.means @ turn.T) == pytest.approx(-angle, abs=np.radians(3.1))
