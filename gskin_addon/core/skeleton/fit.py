@@ -98,9 +98,23 @@ def fit(
     """
     if kind not in KINDS:
         raise InputError(f"'{kind}' is no kind of skeleton; choose one of {', '.join(KINDS)}.")
+    return fit_with(kind, _network(kind), cloud, front=front, alike=alike, landmarks=landmarks, tick=tick)
+
+
+def fit_with(
+    kind: str,
+    network: VoteNetwork,
+    cloud: SplatCloud,
+    *,
+    front: str = "auto",
+    alike: bool | None = None,
+    landmarks: Mapping[str, Array] | None = None,
+    tick: Tick = silent,
+) -> Fit:
+    """`fit` by another network than the one that comes with the add-on."""
     if front != "auto" and front not in LOOKS:
         raise InputError(f"'{front}' is no direction to look to; choose auto, {', '.join(LOOKS)}.")
-    spec, network = KINDS[kind], _network(kind)
+    spec = KINDS[kind]
     standing, turn = _turned(cloud, spec, network, front, tick)
     values = features(standing.shape, standing.scale)
     left, right = network(values), network(mirrored(values))

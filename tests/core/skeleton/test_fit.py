@@ -66,7 +66,7 @@ def test_sides_are_mirror_images_or_not_as_wished(person):
         names, heads = found.skeleton.names, found.skeleton.heads
         twin = [names.index(mirrored_name(name)) for name in names]
         off = np.abs(heads[twin] * [-1, 1, 1] - heads).max()
-        assert (off < 1e-12) is wanted
+        assert (off < 1e-12) == wanted
 
 
 def test_landmarks_bring_the_ends_of_limbs_there(person):

@@ -18,7 +18,7 @@ from .vote_module import VoteModule
 
 Array = NDArray[Any]
 
-WIDTH, STEPS, BATCH, RATE = 64, 3000, 12, 2e-3
+WIDTH, STEPS, BATCH, RATE = 64, 1500, 12, 2e-3
 LOOSE = 0.15
 """Weight of the votes' own errors beside that of their mean."""
 
