@@ -235,7 +235,8 @@ def tell(rows: list[dict[str, Any]], names: tuple[str, ...]) -> None:
     if skinned:
         artist, fitted = (np.array([row[key] for row in skinned]) for key in ("artist", "fitted"))
         print(f"\nAuto-Skin of {len(skinned)}: artist's bones {artist.mean():.2f}, fitted {fitted.mean():.2f}, "
-              f"ratio of the means {fitted.mean() / artist.mean():.2f}, median ratio {np.median(fitted / artist):.2f}")  # fmt: skip
+              f"ratio of the means {fitted.mean() / artist.mean():.2f}, median {np.median(fitted / artist):.2f}")
+    print("\nFront wrong: " + ", ".join(row["asset"] for row in rows if row["front"] == "wrong"))
     doubt = np.array([row["doubt"] for row in rows])
     print(f"\ndoubt against error: correlation {np.corrcoef(doubt, errors)[0, 1]:.2f}; error = "
           f"{np.polyfit(doubt, errors, 1)} @ doubt")  # fmt: skip

@@ -114,4 +114,14 @@ class GSKIN_OT_fit_quadruped(_Fit, bpy.types.Operator):
     kind = "quadruped"
 
 
-CLASSES = (GSKIN_OT_fit_human, GSKIN_OT_fit_quadruped)
+class GSKIN_OT_fit_bird(_Fit, bpy.types.Operator):
+    """Fit the skeleton of a bird to the splats, by its outline alone: a Rigify metarig to begin with, which wants
+    correcting"""
+
+    bl_idname = "gskin.fit_bird"
+    bl_label = "Fit Bird"
+
+    kind = "bird"
+
+
+CLASSES = (GSKIN_OT_fit_human, GSKIN_OT_fit_quadruped, GSKIN_OT_fit_bird)

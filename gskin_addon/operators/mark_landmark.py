@@ -12,7 +12,8 @@ from ..scene.splat_object import read_cloud
 from ..scene.weight_edits import selected_splats
 from ..session.chosen import chosen_splats
 
-_TITLES = {"hand": "Hand", "foot": "Foot", "front_paw": "Front Paw", "hind_paw": "Hind Paw", "head": "Top of Head"}
+_TITLES = {"hand": "Hand", "foot": "Foot", "front_paw": "Front Paw", "hind_paw": "Hind Paw", "head": "Top of Head",
+           "wing": "Wing", "beak": "Beak"}  # fmt: skip
 _SIDES = {"L": "Left", "R": "Right", "": ""}
 
 

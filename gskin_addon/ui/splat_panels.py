@@ -93,8 +93,8 @@ class GSKIN_PT_skeleton(_Child, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         column = self.layout.column()
         column.enabled = state.job is None
-        column.operator("gskin.fit_human", icon="OUTLINER_OB_ARMATURE")
-        column.operator("gskin.fit_quadruped", icon="OUTLINER_OB_ARMATURE")
+        for operator in ("gskin.fit_human", "gskin.fit_quadruped", "gskin.fit_bird"):
+            column.operator(operator, icon="OUTLINER_OB_ARMATURE")
         row = column.row(align=True)
         row.operator_menu_enum("gskin.mark_landmark", "name", icon="EMPTY_AXIS")
         row.operator("gskin.clear_landmarks", text="", icon="X")

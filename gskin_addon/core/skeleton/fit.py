@@ -19,6 +19,7 @@ from ..rig.skeleton import Skeleton
 from ..splats.cloud import SplatCloud
 from ..ticks import Tick, silent
 from . import ends, layouts
+from .bird import bird_front, bird_joints
 from .body_shape import body_shape
 from .joints import HUMAN, MIDDLE, QUADRUPED
 from .landmarks import move_to_landmarks
@@ -50,6 +51,7 @@ class Kind:
 KINDS = {
     "human": Kind(HUMAN, "height", layouts.HUMAN, ends.human_ends),
     "quadruped": Kind(QUADRUPED, "diagonal", layouts.QUADRUPED, ends.quadruped_ends),
+    "bird": Kind((), "diagonal", layouts.BIRD, None),
 }
 
 
@@ -98,6 +100,8 @@ def fit(
     """
     if kind not in KINDS:
         raise InputError(f"'{kind}' is no kind of skeleton; choose one of {', '.join(KINDS)}.")
+    if kind == "bird":
+        return _fit_bird(cloud, front, alike, landmarks, tick)
     return fit_with(kind, _network(kind), cloud, front=front, alike=alike, landmarks=landmarks, tick=tick)
 
 
@@ -112,8 +116,7 @@ def fit_with(
     tick: Tick = silent,
 ) -> Fit:
     """`fit` by another network than the one that comes with the add-on."""
-    if front != "auto" and front not in LOOKS:
-        raise InputError(f"'{front}' is no direction to look to; choose auto, {', '.join(LOOKS)}.")
+    _check_front(front)
     spec = KINDS[kind]
     standing, turn = _turned(cloud, spec, network, front, tick)
     values = features(standing.shape, standing.scale)
@@ -133,6 +136,34 @@ def fit_with(
     placement[:3, 3] = turn @ (standing.origin + shift)
     tick(1.0)
     return Fit(kind, skeleton, deform, placement, found, same, _expected(spread))
+
+
+def _fit_bird(
+    cloud: SplatCloud, front: str, alike: bool | None, landmarks: Mapping[str, Array] | None, tick: Tick
+) -> Fit:
+    """A bird by its outline; always for somebody to look at."""
+    _check_front(front)
+    shape = body_shape(cloud)
+    tick(0.5)
+    base = np.eye(3)
+    if front == "auto":
+        base = _about_z(slant(shape.points))
+        if not np.array_equal(base, np.eye(3)):
+            shape = body_shape(_turned_places(cloud, base))
+    turns = quarter_turns(shape)
+    quarters = LOOKS[front] if front != "auto" else bird_front([turned.points for turned in turns])
+    standing = stand(turns[quarters], KINDS["bird"].unit)
+    turn = (np.linalg.matrix_power(QUARTER, quarters) @ base).T
+    found = bird_joints(standing.shape.points)
+    if landmarks:
+        own = {name: turn.T @ np.asarray(at, np.float64) - standing.origin for name, at in landmarks.items()}
+        found = move_to_landmarks(found, own, standing.shape.points)
+    found, shift, same = both_alike(found, standing.diagonal, alike)
+    skeleton, deform = layouts.build(layouts.BIRD, found)
+    placement = np.eye(4)
+    placement[:3, :3], placement[:3, 3] = turn, turn @ (standing.origin + shift)
+    tick(1.0)
+    return Fit("bird", skeleton, deform, placement, found, same, 2 * UNSURE)
 
 
 def both_alike(joints: dict[str, Array], diagonal: float, wanted: bool | None) -> tuple[dict[str, Array], Array, bool]:
@@ -165,7 +196,7 @@ def _turned(cloud: SplatCloud, spec: Kind, network: VoteNetwork, front: str, tic
         turned = quarter_turns(shape)[quarters]
         return stand(turned, spec.unit), np.linalg.matrix_power(QUARTER, quarters).T
     angle = slant(shape.points)
-    base = np.asarray(axis_angle_to_matrix(np.array([0.0, 0.0, 1.0]), np.array(angle)))
+    base = _about_z(angle)
     if angle:
         shape = body_shape(_turned_places(cloud, base))
     tick(0.7)
@@ -173,6 +204,15 @@ def _turned(cloud: SplatCloud, spec: Kind, network: VoteNetwork, front: str, tic
     looks = [_fits(network, standing) for standing in standings]
     best = int(np.argmax(looks))
     return standings[best], (np.linalg.matrix_power(QUARTER, best) @ base).T
+
+
+def _check_front(front: str) -> None:
+    if front != "auto" and front not in LOOKS:
+        raise InputError(f"'{front}' is no direction to look to; choose auto, {', '.join(LOOKS)}.")
+
+
+def _about_z(angle: float) -> Array:
+    return np.asarray(axis_angle_to_matrix(np.array([0.0, 0.0, 1.0]), np.array(angle)))
 
 
 def _turned_places(cloud: SplatCloud, turn: Array) -> SplatCloud:

@@ -28,7 +28,7 @@ QUADRUPED = (
 begins at front_thigh, bends at front_foot (carpus) and meets its toes at front_toe; a hind leg bends at shin (stifle)
 and foot (hock)."""
 
-MIDDLE = ("hips", "neck", "head", "tail")
+MIDDLE = ("hips", "neck", "head", "tail", "crown", "beak", "tail_tip")
 
 
 def both_sides(joints: Sequence[str]) -> tuple[str, ...]:

@@ -18,11 +18,13 @@ CHAINS = {
     "foot": ("thigh", "knee", "ankle", "toe"),
     "front_paw": ("front_thigh", "front_shin", "front_foot", "front_toe"),
     "hind_paw": ("thigh", "shin", "foot", "toe"),
+    "wing": ("wing", "wing_elbow", "wing_wrist", "wing_tip"),
+    "beak": ("neck", "head", "beak"),
     "head": ("neck", "head"),
 }
 """Landmarks and the joints that go along, from the one that stays to the outermost."""
 
-NAMES = ("head", *(f"{name}.{side}" for name in CHAINS if name != "head" for side in "LR"))
+NAMES = ("head", "beak", *(f"{name}.{side}" for name in CHAINS if name not in ("head", "beak") for side in "LR"))
 
 
 def move_to_landmarks(
@@ -60,8 +62,9 @@ def possible(joints: Mapping[str, Array]) -> list[str]:
     found = []
     for name in NAMES:
         kind, _, side = name.partition(".")
-        last = CHAINS[kind][-2]
-        if (f"{last}.{side}" if side else last) in joints:
+        first, *_, last = CHAINS[kind]
+        ends = [f"{joint}.{side}" if side else joint for joint in (first, last)]
+        if all(joint in joints for joint in ends):
             found.append(name)
     return found
 
