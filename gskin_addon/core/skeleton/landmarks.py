@@ -32,7 +32,7 @@ def move_to_landmarks(
 ) -> dict[str, Array]:
     """The joints with the limbs turned and stretched about their first joint so that their ends reach the landmarks.
 
-    A landmark is a name of `NAMES` or of one of the joints, which is then put there. surface (M, 3): of the body;
+    A landmark is a name of `NAMES`, or of another of the joints, which is then put there. surface (M, 3): of the body;
     all in one frame.
 
     Raises:
@@ -41,13 +41,11 @@ def move_to_landmarks(
     out = {name: np.asarray(place, np.float64) for name, place in joints.items()}
     for name, place in landmarks.items():
         goal = np.asarray(place, np.float64)
-        if name in out:
+        if name in out and name not in NAMES:
             out[name] = goal
             continue
-        kind, _, side = name.partition(".")
-        chain = [f"{joint}.{side}" if side else joint for joint in CHAINS.get(kind, ())]
-        chain = [joint for joint in chain if joint in out]
-        if len(chain) < 2:
+        chain = _chain(name, out)
+        if not chain:
             raise InputError(f"'{name}' is no landmark of this body; choose one of {', '.join(possible(joints))}.")
         start = out[chain[0]]
         end = _end(out[chain[-2]], out[chain[-1]], surface)
@@ -59,14 +57,16 @@ def move_to_landmarks(
 
 def possible(joints: Mapping[str, Array]) -> list[str]:
     """The landmarks that a body with these joints has."""
-    found = []
-    for name in NAMES:
-        kind, _, side = name.partition(".")
-        first, *_, last = CHAINS[kind]
-        ends = [f"{joint}.{side}" if side else joint for joint in (first, last)]
-        if all(joint in joints for joint in ends):
-            found.append(name)
-    return found
+    return [name for name in NAMES if _chain(name, joints)]
+
+
+def _chain(name: str, joints: Mapping[str, Array]) -> list[str]:
+    """The joints that go along with a landmark; none where the body has not all of them, one in between excepted."""
+    kind, _, side = name.partition(".")
+    wanted = [f"{joint}.{side}" if side else joint for joint in CHAINS.get(kind, ())] if name in NAMES else []
+    found = [joint for joint in wanted if joint in joints]
+    enough = len(found) >= max(2, len(wanted) - 1) and wanted[0] in joints and wanted[-1] in joints
+    return found if enough else []
 
 
 def _end(before: Array, last: Array, surface: Array) -> Array:

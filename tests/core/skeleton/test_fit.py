@@ -15,6 +15,7 @@ from gskin_addon.core.skeleton import layouts
 from gskin_addon.core.skeleton.fit import fit
 from gskin_addon.core.skeleton.landmarks import move_to_landmarks
 from gskin_addon.core.skeleton.stance import slant
+from gskin_addon.core.splats.cloud import SplatCloud
 
 
 @pytest.fixture(scope="module")
@@ -106,3 +107,46 @@ def test_a_slanted_body_is_set_straight_and_a_straight_one_left(person):
     angle = np.radians(24)
     turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
     assert slant(person.means @ turn.T) == pytest.approx(-angle, abs=np.radians(3.1))
+
+
+def test_the_landmark_of_the_head_is_its_top_not_its_joint(person):
+    plain = fit("human", person, front="-y", alike=False)
+    top = np.array([0.0, 0.0, 2.0])
+    found = fit("human", person, front="-y", alike=False, landmarks={"head": top})
+    before, after = placed_joints(plain)["head"], placed_joints(found)["head"]
+    assert before[2] < after[2] < 1.85  # the neck is longer; the joint stays below the crown
+
+
+def bird():
+    """A trunk, a neck with a head, a tail and two legs; it looks along -y."""
+    rng = np.random.default_rng(2)
+    parts = (
+        ((0, 0.1, 0.5), (0.13, 0.28, 0.14)), ((0, -0.28, 0.78), (0.05, 0.05, 0.14)),
+        ((0, -0.34, 0.92), (0.06, 0.09, 0.06)), ((0, 0.5, 0.55), (0.06, 0.2, 0.03)),
+        *(((x, 0.1, 0.2), (0.02, 0.02, 0.2)) for x in (0.08, -0.08)),
+        *(((x, 0.05, 0.02), (0.03, 0.08, 0.02)) for x in (0.08, -0.08)),
+    )  # fmt: skip
+    points = []
+    for middle, radii in parts:
+        ball = rng.normal(size=(1500, 3))
+        points.append(np.array(middle) + ball / np.linalg.norm(ball, axis=1, keepdims=True) * radii)
+    means = np.concatenate(points).astype(np.float32)
+    return SplatCloud(
+        means, np.tile(np.array([1, 0, 0, 0], np.float32), (len(means), 1)), np.full_like(means, 0.008),
+        np.full(len(means), 0.9, np.float32), np.zeros((len(means), 1, 3), np.float32),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("front", ["auto", "-y"])
+def test_a_birds_ends_lie_at_its_ends_and_it_always_wants_looking_at(front):
+    found = fit("bird", bird(), front=front)
+    assert found.unsure
+    skeleton = found.placed()
+    skeleton.validate()
+    place = {name: number for number, name in enumerate(skeleton.names)}
+    beak, tail = skeleton.tails[place["head"]], skeleton.tails[place["spine"]]
+    assert np.linalg.norm(beak - [0, -0.42, 0.92]) < 0.12
+    assert np.linalg.norm(tail - [0, 0.69, 0.55]) < 0.12
+    for side, sign in (("L", 1), ("R", -1)):
+        assert np.linalg.norm(skeleton.heads[place[f"toe.{side}"]] - [sign * 0.08, 0.06, 0.0]) < 0.08
+        assert 0.3 < skeleton.heads[place[f"thigh.{side}"], 2] < 0.62
