@@ -27,6 +27,9 @@ MAPPING = (
     *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#after-a-job") for name in (
         "compare_weights", "pose_rig", "select_unsure_splats",
     )),
+    *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#skeleton") for name in (
+        "fit_human", "fit_quadruped", "fit_bird", "mark_landmark", "clear_landmarks", "import_skeleton",
+    )),
     *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#clean-up") for name in ("select_bad_splats", "clean_splats")),
     *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#the-check-list") for name in (
         "check_again", "enable_deform", "even_scale", "fix_rig_scale", "center_rig",
