@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import bpy
 from bpy_extras.io_utils import ImportHelper
@@ -22,6 +23,8 @@ class GSKIN_OT_import_skeleton(bpy.types.Operator, ImportHelper):
     bl_label = "Import Skeleton"
     bl_options = {"REGISTER", "UNDO"}
 
+    if TYPE_CHECKING:
+        filepath: str  # ImportHelper's
     filter_glob: bpy.props.StringProperty(default=";".join(f"*{suffix}" for suffix in SUFFIXES), options={"HIDDEN"})
     guess: bpy.props.BoolProperty(
         name="Bring Into Splats",

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import addon_utils
 import bpy
@@ -125,7 +126,8 @@ def _stays_connected(bone: bpy.types.EditBone, place: dict[str, int], skeleton: 
     return float(np.linalg.norm(gap)) < 1e-6
 
 
-def _add_bones(data: bpy.types.Armature, skeleton: Skeleton) -> None:
+def _add_bones(data: Any, skeleton: Skeleton) -> None:
+    """New bones in an armature's data, in Edit Mode."""
     made: list[bpy.types.EditBone] = []
     for name, parent, head, tail in zip(skeleton.names, skeleton.parents, skeleton.heads, skeleton.tails, strict=True):
         bone = data.edit_bones.new(name)

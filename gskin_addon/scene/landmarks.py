@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import bpy
+import mathutils
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,7 +24,7 @@ def add_landmark(splats: bpy.types.Object, name: str, place: NDArray[np.float64]
             collection.objects.link(found)
         found.parent = splats
     bpy.context.view_layer.update()
-    found.empty_display_size = 0.02 * max(splats.dimensions) / max(splats.matrix_world.median_scale, 1e-9)
+    found.empty_display_size = 0.02 * max(*splats.dimensions) / max(splats.matrix_world.median_scale, 1e-9)
     found.location = splats.matrix_world.inverted() @ _vector(place)
     bpy.context.view_layer.update()
     return found
@@ -48,6 +49,5 @@ def _empties(splats: bpy.types.Object) -> dict[str, bpy.types.Object]:
     return {str(child[MARK]): child for child in splats.children if MARK in child.keys()}  # noqa: SIM118
 
 
-def _vector(place: NDArray[np.float64]) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in place)
-    return x, y, z
+def _vector(place: NDArray[np.float64]) -> mathutils.Vector:
+    return mathutils.Vector([float(value) for value in place])

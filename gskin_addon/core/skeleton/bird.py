@@ -23,7 +23,7 @@ def bird_front(turns: list[Array]) -> int:
     alike = [_mirrors(points) for points in turns[:2]]
     across = int(np.argmax(alike))
     points = turns[across]
-    top = points[points[:, 2] > np.percentile(points[:, 2], 90)]
+    top = points[points[:, 2] >= np.percentile(points[:, 2], 90)]
     ahead = float(top[:, 1].mean() - np.median(points[:, 1]))
     return across if ahead <= 0 else across + 2
 

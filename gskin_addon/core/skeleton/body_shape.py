@@ -56,14 +56,14 @@ class BodyShape:
 
     def turned(self, rotation: Array, about: Array) -> BodyShape:
         """The same body after a turn by rotation (3, 3) about a point (3,); by quarters only, as `filled` stays."""
-        points = (self.points - about) @ rotation.T + about
+        corners = (np.stack([self.low, self.high]) - about) @ rotation.T + about
         return replace(
             self,
-            points=points,
+            points=(self.points - about) @ rotation.T + about,
             lean=self.lean @ rotation.T,
             end=(self.end - about) @ rotation.T + about,
-            low=points.min(axis=0),
-            high=points.max(axis=0),
+            low=corners.min(axis=0),
+            high=corners.max(axis=0),
         )
 
 

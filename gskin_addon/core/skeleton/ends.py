@@ -50,7 +50,8 @@ def quadruped_ends(joints: dict[str, Array], surface: Array) -> dict[str, Array]
         for kind in ("front_", ""):
             paw = joints[f"{kind}toe.{side}"]
             points[f"{kind}toe_tip.{side}"] = toe_tip(paw, np.array([0.0, -1.0, 0.0]), surface, 0.12 * trunk)
-        top = joints[f"front_thigh.{side}"]
+        top, carpus = joints[f"front_thigh.{side}"], joints[f"front_foot.{side}"]
+        points[f"front_shin.{side}"] = top + 0.45 * (carpus - top) + np.array([0.0, 0.03, 0.0]) * trunk
         points[f"blade.{side}"] = np.array([(top[0] + chest[0]) / 2, chest[1], max(chest[2], top[2] + 0.1 * trunk)])
         points[f"breast.{side}"] = chest + np.array([0.3 * (top[0] - chest[0]), 0.0, -0.1 * trunk])
         points[f"nipple.{side}"] = points[f"breast.{side}"] + np.array([0.0, -0.1, -0.15]) * trunk

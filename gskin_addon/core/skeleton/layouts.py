@@ -121,8 +121,8 @@ def build(bones: tuple[Bone, ...], points: Points) -> tuple[Skeleton, Array]:
 
 
 def _sided(bone: Bone, side: str) -> Bone:
-    texts = (text.replace("*", side) for text in (bone.name, bone.parent, bone.head, bone.tail))
-    return Bone(*texts, deform=bone.deform)
+    name, parent, head, tail = (text.replace("*", side) for text in (bone.name, bone.parent, bone.head, bone.tail))
+    return Bone(name, parent, head, tail, bone.deform)
 
 
 def _point(text: str, points: Points) -> Array:

@@ -48,10 +48,12 @@ def read_plain(path: Path, names: tuple[str, ...]) -> dict[str, NDArray[Any] | l
 
 
 def _read(file: io.BytesIO) -> NDArray[Any] | list[Any]:
-    version = npy.read_magic(file)
+    header: Any = npy  # numpy gives its readers no types
+    version = header.read_magic(file)
     if version not in ((1, 0), (2, 0)):
         raise ValueError("an array of an unknown version")
-    shape, _, dtype = npy.read_array_header_1_0(file) if version == (1, 0) else npy.read_array_header_2_0(file)
+    read = header.read_array_header_1_0 if version == (1, 0) else header.read_array_header_2_0
+    shape, _, dtype = read(file)
     if not dtype.hasobject:
         file.seek(0)
         array: NDArray[Any] = np.load(file, allow_pickle=False)
@@ -68,7 +70,7 @@ def _listed(data: bytes) -> list[Any]:
     Raises:
         ValueError: there is no such list, or something else than None, numbers and texts in it.
     """
-    codes = [(code.name, value) for code, value, _ in pickletools.genops(data)]
+    codes: list[tuple[str, Any]] = [(code.name, value) for code, value, _ in pickletools.genops(data)]
     begin = max((number for number, (name, _) in enumerate(codes) if name == "EMPTY_LIST"), default=-1)
     if begin < 0:
         raise ValueError("no list of values")

@@ -27,7 +27,9 @@ UpperLeg.L<Body; LowerLeg.L<UpperLeg.L; UpperLeg.R<Body; LowerLeg.R<UpperLeg.R
 Foot.L<Bone; PoleTarget.L<Bone; Foot.R<Bone; PoleTarget.R<Bone"""
 """Feet hang on the root, where they follow targets."""
 
-HEIGHT = {"hips": 1.0, "body": 0.95, "spine": 1.1, "chest": 1.3, "neck": 1.5, "head": 1.6, "arm": 1.4, "leg": 0.9, "thigh": 0.9}
+HEIGHT = {
+    "hips": 1.0, "body": 0.95, "spine": 1.1, "chest": 1.3, "neck": 1.5, "head": 1.6, "arm": 1.4, "leg": 0.9, "thigh": 0.9,
+}  # fmt: skip
 
 
 def rig(text):

@@ -172,13 +172,12 @@ def turn_between(start: Array, goal: Array) -> Array:
     """The smallest rotation (3, 3) that turns the direction start (3,) into that of goal (3,)."""
     a, b = (np.asarray(v, np.float64) / max(float(np.linalg.norm(v)), 1e-12) for v in (start, goal))
     axis = np.cross(a, b)
-    sine, cosine = float(np.linalg.norm(axis)), float(a @ b)
-    if sine < 1e-9:
-        if cosine > 0:
+    angle = np.arctan2(float(np.linalg.norm(axis)), float(a @ b))
+    if np.linalg.norm(axis) < 1e-9:
+        if a @ b > 0:
             return np.eye(3)
-        axis, sine = np.cross(a, [1.0, 0.0, 0.0] if abs(a[0]) < 0.9 else [0.0, 1.0, 0.0]), 1.0
-        axis /= np.linalg.norm(axis)
-    return np.asarray(axis_angle_to_matrix(axis / np.linalg.norm(axis), np.arctan2(sine, cosine)))
+        axis = np.cross(a, [1.0, 0.0, 0.0] if abs(a[0]) < 0.9 else [0.0, 1.0, 0.0])
+    return np.asarray(axis_angle_to_matrix(axis / np.linalg.norm(axis), angle))
 
 
 def _about(axis: Array, degrees: float) -> Array:

@@ -14,6 +14,9 @@ from ...skeleton.votes import FEATURES
 class VoteModule(nn.Module):
     """Joints of the left side and the middle from batches of voxels."""
 
+    mean: torch.Tensor
+    deviation: torch.Tensor
+
     def __init__(self, joints: int, width: int, mean: Any, deviation: Any) -> None:
         """mean, deviation (FEATURES,): of the features in the examples."""
         super().__init__()
