@@ -109,7 +109,7 @@ def _wing(surface: Array, trunk: Array, hips: Array, size: Array, sign: float) -
     else:  # folded: along the side of the trunk to the tail
         side = float(np.percentile(sign * own[:, 0], 95)) if len(own) else 0.1 * float(size[1])
         shoulder = np.array([sign * 0.7 * side, shoulder[1], shoulder[2]])
-        tip = np.array([sign * 0.6 * side, hips[1] + 0.3 * size[1], hips[2]])
+        tip = np.array([sign * 0.6 * side, hips[1] + 0.1 * size[1], hips[2]])
         wrist = np.array([sign * side, trunk[1] - 0.12 * size[1], trunk[2] - 0.03 * size[2]])
     return {"wing": shoulder, "wing_elbow": shoulder + 0.5 * (wrist - shoulder) + np.array([0, 0.03 * size[1], 0]),
             "wing_wrist": wrist, "wing_tip": tip}  # fmt: skip

@@ -28,7 +28,8 @@ Foot.L<Bone; PoleTarget.L<Bone; Foot.R<Bone; PoleTarget.R<Bone"""
 """Feet hang on the root, where they follow targets."""
 
 HEIGHT = {
-    "hips": 1.0, "body": 0.95, "spine": 1.1, "chest": 1.3, "neck": 1.5, "head": 1.6, "arm": 1.4, "leg": 0.9, "thigh": 0.9,
+    "hips": 1.0, "body": 0.95, "spine": 1.1, "chest": 1.3, "neck": 1.5, "head": 1.6, "arm": 1.4, "leg": 0.9,
+    "thigh": 0.9,
 }  # fmt: skip
 
 
