@@ -39,7 +39,7 @@ from gskin_addon.core.skinning.presets import PRESETS, Preset
 from gskin_addon.core.splats.cloud import SH_C0, SplatCloud
 
 IMAGES, SIZE = 20, 512
-IMAGE_MS, SCHEDULES = 3.0, {"standard": 5.0, "paper": 30.0}
+IMAGE_MS, SCHEDULES = 3.0, {"standard": 5.0, "thorough": 30.0}
 """Bars: ms per image with its loss and gradients; seconds of the learning in a preset."""
 
 

@@ -17,8 +17,10 @@ import bpy
 import numpy as np
 
 from benchmarks.bench_display import rigged
-from gskin_addon.scene.native_nodes import MAX_DEGREE, has_native_splats
-from gskin_addon.scene.node_groups import NATIVE, find_display, set_display
+from gskin_addon.scene.display_inputs import NATIVE
+from gskin_addon.scene.harmonics_nodes import MAX_DEGREE
+from gskin_addon.scene.native_nodes import has_native_splats
+from gskin_addon.scene.node_groups import find_display, set_display
 from gskin_addon.scene.splat_object import read_cloud, replace_cloud
 
 ROUNDS = 9

@@ -185,13 +185,13 @@ def default_bars(repeats: int) -> Iterator[Bar]:
     yield Bar("default_peak_mb", _middle(costs, lambda c: c.peak_mb), None)
 
 
-def paper_bars(repeats: int) -> Iterator[Bar]:
-    """The preset `paper`: 500 iterations of 20 images at 512 px, or fewer where it sees that they are enough."""
-    costs = _jobs("paper", repeats)
+def thorough_bars(repeats: int) -> Iterator[Bar]:
+    """The preset `thorough`: 500 iterations of 20 images at 512 px, or fewer where it sees that they are enough."""
+    costs = _jobs("thorough", repeats)
     core = _middle(costs, lambda c: c.core)
-    yield Bar("paper_seconds", _middle(costs, lambda c: c.without_guidance), 360, core)
-    yield Bar("paper_iterations", _middle(costs, lambda c: c.report["iterations"]), None)
-    yield Bar("paper_forecast_error", _middle(costs, Cost.forecast_error), 0.2)
+    yield Bar("thorough_seconds", _middle(costs, lambda c: c.without_guidance), 360, core)
+    yield Bar("thorough_iterations", _middle(costs, lambda c: c.report["iterations"]), None)
+    yield Bar("thorough_forecast_error", _middle(costs, Cost.forecast_error), 0.2)
 
 
 def large_bars(repeats: int) -> Iterator[Bar]:
@@ -249,9 +249,9 @@ BARS: dict[str, Callable[[int], Iterator[Bar | str]]] = {
     "standard": standard_bars,
     "large": large_bars,
     "gpu": gpu_bars,
-    "paper": paper_bars,
+    "thorough": thorough_bars,
 }
-LONG = ("standard", "large", "paper")
+LONG = ("standard", "large", "thorough")
 
 
 def main() -> None:

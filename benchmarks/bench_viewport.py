@@ -28,7 +28,8 @@ from gskin_addon.core.render.drawn_splats import DrawnSplats
 from gskin_addon.core.render.screen_space import camera_matrices
 from gskin_addon.core.render.view_order import back_to_front, eye_of, view_colors, view_depths
 from gskin_addon.core.splats.cloud import SplatCloud
-from gskin_addon.scene.node_groups import BY_SHADER, set_display
+from gskin_addon.scene.display_inputs import BY_SHADER
+from gskin_addon.scene.node_groups import set_display
 from gskin_addon.scene.splat_object import create_splat_object
 from gskin_addon.scene.viewport.drawing import draw_into, make_target, read_target
 from gskin_addon.scene.viewport.reading import read_posed, read_rest

@@ -29,9 +29,10 @@ from gskin_addon.core.render.picture import to_linear, to_srgb
 from gskin_addon.core.render.rasterizer import prepare, render_cloud, view_colors
 from gskin_addon.core.splats.cloud import SplatCloud
 from gskin_addon.core.worker.frame_client import FrameClient
+from gskin_addon.scene.display_inputs import NATIVE
 from gskin_addon.scene.drawn import rendered_splats
 from gskin_addon.scene.node_builder import has_input
-from gskin_addon.scene.node_groups import NATIVE, find_display, renew_display, set_display
+from gskin_addon.scene.node_groups import find_display, renew_display, set_display
 from gskin_addon.scene.posing import posed_cloud, turn_bones
 from gskin_addon.scene.proxy_object import followed_armature
 from gskin_addon.scene.render import render_still

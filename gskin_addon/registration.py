@@ -45,15 +45,27 @@ from .operators import (
     renew_display,
     repair_runtime,
     save_weights,
+    select_splats,
     separate_parts,
     sharpen_weights,
     smooth_weights,
     standard_view,
+    transfer_weights,
 )
-from .scene import fabric_view, follow_display, follow_transforms, handlers, helpers, webp_images
+from .scene import (
+    fabric_renewal,
+    fabric_view,
+    follow_display,
+    follow_transforms,
+    handlers,
+    helpers,
+    leftovers,
+    parted,
+    webp_images,
+)
 from .scene.viewport import following as viewport_following
 from .scene.viewport import handler as viewport_handler
-from .session import guidance_settings, live_pictures, properties, render_settings, running_job
+from .session import deleted, guidance_settings, live_pictures, properties, render_settings, running_job
 from .ui import job_presets as job_presets_menu
 from .ui import manual, panel, preferences, render_panel, splat_panels, translations
 
@@ -65,6 +77,7 @@ MODULES = (
     guidance_settings,
     properties,
     render_settings,
+    deleted,
     running_job,
     live_pictures,
     preferences,
@@ -92,12 +105,14 @@ MODULES = (
     save_weights,
     export_glb,
     confidence,
+    select_splats,
     smooth_weights,
     sharpen_weights,
     follow_neighbours,
     assign_to_bone,
     flood_weights,
     mirror_weights,
+    transfer_weights,
     blend_weights,
     separate_parts,
     fabric,
@@ -114,6 +129,7 @@ MODULES = (
     render_panel,
     splat_panels,
     manual,
+    parted,
     handlers,
     helpers,
     follow_transforms,
@@ -121,6 +137,8 @@ MODULES = (
     viewport_handler,
     viewport_following,
     fabric_view,
+    fabric_renewal,
+    leftovers,
 )
 
 

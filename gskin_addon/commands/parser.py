@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The options of every command. Imports nothing heavy, so that --help answers at once."""
+"""The parser of the command line, made of the options of every command."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from pathlib import Path
-from typing import Any, NoReturn
 
+<<<<<<< HEAD
 from ..core.guidance import DEFAULT_GUIDANCE, GUIDANCE
 from ..core.job.settings import FRONTS, PRESET_FIELD
 from ..core.job.up_axis import UP_CHOICES
@@ -18,31 +16,24 @@ from ..core.skinning.initial import DEFAULT_INITIAL, INITIAL_WEIGHTS
 from ..core.skinning.presets import DEFAULT_PRESET, PRESETS
 from ..core.splats.axes import UP_AXES
 from ..core.worker.runtime_choice import BACKENDS as TORCH_BACKENDS
+=======
+from .options import convert, pose, render, rig, runtime, train_guidance, train_prior, weights
+from .options.shared import Parser
+>>>>>>> main
 
 VERSION = "0.2.0"
-TRAINING_STEPS = 500
-TRAINING_CREATURES = 480
-TRAINING_NETWORKS = 3
-AUTO_SCALE = "auto"
-VIEWS = ("front", "back", "front-left", "front-right", "left", "right")
-
-
-class _Parser(argparse.ArgumentParser):
-    """Mistakes in the options are one sentence too."""
-
-    def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: {message}; see {self.prog} --help.\n")
 
 
 def build() -> argparse.ArgumentParser:
     """The parser of all commands; `options.command` names the module that runs."""
-    parser = _Parser(
+    parser = Parser(
         prog="gskin",
         description="Auto-skin Gaussian splats: weights, posing and rigged glTF.",
         epilog="Exit codes: 0 done, 2 bad input, 1 failure, 130 cancelled.",
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"gskin {VERSION}")
+<<<<<<< HEAD
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=_Parser)
     _rig(commands)
     _fit(commands)
@@ -543,3 +534,15 @@ def _unit(text: str) -> float:
 _positive.__name__, _seed.__name__, _unit.__name__ = "whole number", "whole number", "number"
 _scale.__name__ = "auto, or number"
 _size.__name__, _aspect.__name__, _length.__name__ = "whole number", "number", "number"
+=======
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
+    rig.add(commands)
+    pose.add(commands)
+    render.add(commands)
+    convert.add(commands)
+    weights.add(commands)
+    train_guidance.add(commands)
+    train_prior.add(commands)
+    runtime.add(commands)
+    return parser
+>>>>>>> main

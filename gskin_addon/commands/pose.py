@@ -14,7 +14,7 @@ from ..core.splats.gltf_file import UP as GLTF_UP
 from .blender import require_bpy
 from .console import print_message
 from .paths import check_output, same_file
-from .save import say_left_out
+from .save import save_rigged, say_left_out
 
 if TYPE_CHECKING:
     import bpy
@@ -30,7 +30,6 @@ def run(options: argparse.Namespace) -> None:
         raise InputError(f"--out '{options.out}' would overwrite its own input; choose another name.")
     kind = options.out.suffix.lower()
     with posed(options) as obj:
-        from ..scene import rig_files
         from ..scene.placement import as_in_file
         from ..scene.posing import posed_cloud
         from ..scene.splat_object import read_cloud
@@ -48,7 +47,7 @@ def run(options: argparse.Namespace) -> None:
                 print_message(f"Warning: {sentence}")
             say_left_out(options.out, as_in_file(obj, read_cloud(obj), GLTF_UP))
     if kind == ".blend":
-        rig_files.save_blend(options.out)
+        save_rigged(options.out, obj)
     print_message(f"'{obj.name}' is posed in '{options.out}'.")
 
 
@@ -63,7 +62,8 @@ def posed(options: argparse.Namespace) -> Iterator[bpy.types.Object]:
     require_bpy()
     from ..scene import rig_files
     from ..scene.anchored import proxy_of
-    from ..scene.blend_rigs import own_rig
+    from ..scene.blend_rigs import check_whole, own_rig
+    from ..scene.handlers import refresh_all
     from ..scene.proxy_object import followed_armature
     from ..scene.still_pose import Pose, pose_still
     from ..scene.visibility import shown
@@ -71,8 +71,11 @@ def posed(options: argparse.Namespace) -> Iterator[bpy.types.Object]:
     if options.source.suffix.lower() != ".blend":
         raise InputError(f"'{options.source}' is no .blend; give one that `gskin rig` wrote.")
     rig_files.open_blend(options.source)
+    refresh_all()  # a Blender without the add-on may have saved it
     obj = rig_files.find_splats(options.source, options.object)
     armature = followed_armature(obj)
+    if armature is not None:
+        check_whole(armature)
     if options.slot is not None and options.action is None:
         raise InputError(f"--slot '{options.slot}' is of no use without --action.")
     wanted = Pose(turns, settings, options.action, options.slot, options.frame)

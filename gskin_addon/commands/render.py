@@ -65,11 +65,13 @@ def run(options: argparse.Namespace) -> None:
 def draw(cloud: SplatCloud, options: argparse.Namespace) -> None:
     """Rasterise the cloud, framed on itself, and write the PNG."""
     from ..core.render.camera import EVALUATION_AZIMUTHS, orbit_views, percentile_bounds
-    from ..core.render.rasterizer import render_cloud
+    from ..core.render.rasterizer import has_to_compile, render_cloud
 
     lower, upper = percentile_bounds(cloud.means)
     azimuth = EVALUATION_AZIMUTHS[options.view.replace("-", "_")]
     (camera,) = orbit_views(lower, upper, options.size, [azimuth], front=FRONTS[options.front], margin=0.06)
+    if has_to_compile():
+        print_message("Compiling what draws, once: the first picture takes some seconds longer.")
     image, _ = render_cloud(cloud, camera, background=options.background)
     write_png(options.out, image)
 

@@ -6,10 +6,10 @@ from __future__ import annotations
 import argparse
 import contextlib
 import importlib.util
-import json
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +21,12 @@ from ..core.job.mesh_files import read_mesh
 from ..core.job.progress import ProgressEvent
 from ..core.job.progress_text import ProgressPrinter
 from ..core.job.settings import JobSettings
+<<<<<<< HEAD
 from ..core.job.up_axis import AUTO, default_up, resolve_up
+=======
+from ..core.job.up_axis import default_up, resolve_up
+from ..core.pipeline.estimate import warning_of_time
+>>>>>>> main
 from ..core.splats import formats
 from ..core.splats.axes import rotate_cloud, up_rotation
 from ..core.splats.cleanup import clamp_aspect, find_faint_giants, find_strays, isotropic
@@ -29,13 +34,19 @@ from ..core.splats.cloud import SplatCloud
 from ..core.worker.own_python import job_python
 from .blender import require_bpy
 from .console import print_message
+from .job_settings import job_settings, parse_options
 from .paths import check_output, same_file
 from .rig_scale import fit_rig_scale
+from .selection import read_walls
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Array = NDArray[Any]
+
+
+_WALLS = "gskin walls"
+"""Column of the walls' labels while splats are sorted out."""
 
 
 def run(options: argparse.Namespace) -> None:
@@ -47,23 +58,14 @@ def run(options: argparse.Namespace) -> None:
     for given in (options.armature, options.splats, options.mesh):
         if given is not None and same_file(given, options.out):
             raise InputError(f"--out '{options.out}' would overwrite its own input; choose another name.")
-    cloud = read_splats(options.splats, options.drop_invalid)
+    cloud = read_splats(options.splats, options.drop_invalid, options.walls)
     cloud = clean(cloud, options.drop_strays, options.max_aspect, options.isotropic)
+    cloud, walls = _without_walls(cloud)
     mesh = None if options.mesh is None else read_proxy(options.mesh, options.mesh_up)
 
-    settings = {
-        "preset": options.preset,
-        "init": options.init,
-        "guidance": options.guidance,
-        "field": options.field,
-        "rasterizer": options.rasterizer,
-        "max_influences": options.max_influences,
-        "seed": options.seed,
-        "front": options.front,
-        "init_options": {"model": str(options.init_model.absolute())} if options.init_model else {},
-        "options": of_guidance,
-    }
-    needs_runtime = JobSettings.parse(settings).needs_runtime or options.mesh is not None
+    settings = job_settings(options, of_guidance)
+    chosen = JobSettings.parse(settings)
+    needs_runtime = chosen.needs_runtime or options.mesh is not None
     python = job_python(needs_runtime, options.python or "")
 
     require_bpy()
@@ -72,11 +74,13 @@ def run(options: argparse.Namespace) -> None:
     from ..scene.dependencies import needed_objects, unheard_drivers
     from ..scene.placement import bring_rig, fits_in_file
     from ..scene.proxy_object import create_mesh_object
+    from ..scene.seams import write_seams
     from ..scene.splat_object import create_splat_object
     from ..session.skin_job import SkinJob
     from .save import save_rigged
 
     rig_files.empty_scene()
+<<<<<<< HEAD
     if options.fit is not None:
         from .fit import fit_kind, make_rig
 
@@ -85,6 +89,12 @@ def run(options: argparse.Namespace) -> None:
         armature = make_rig(found, options.splats.stem, rigify=options.rigify)
     else:
         armature = rig_files.import_armature(options.armature, options.armature_name)
+=======
+    doubts: list[str] = []
+    armature = rig_files.import_armature(options.armature, options.armature_name, doubts)
+    for sentence in doubts:
+        print_message(f"Warning: {sentence}")
+>>>>>>> main
     for path in unheard_drivers(needed_objects(armature)):
         print_message(f"The driver of {path} needs Python, which no file may run here; its value stays as it is.")
     skeleton = read_skeleton(armature)
@@ -97,11 +107,15 @@ def run(options: argparse.Namespace) -> None:
     turned = rotate_cloud(cloud, up_rotation(up))
     splats = create_splat_object(turned, options.splats.stem)
     splats.data[names.MARK]["up"] = up
+    write_seams(splats, walls)
     if fits_in_file(turned, read_skeleton(armature)):
         bring_rig(armature, -turned.offset)
         print_message(f"Armature '{armature.name}' stands where the file has the splats, and was moved with them.")
     fit_rig_scale(splats, armature, options.rig_scale)
     proxy = None if mesh is None else create_mesh_object(options.mesh.stem, *mesh)
+    slow = warning_of_time(chosen, turned.count, skeleton.count)
+    if slow:
+        print_message(slow)
     # glTF knows no anchors: there the splats keep weights of their own, blended from the mesh's.
     anchored = options.out.suffix.lower() == ".blend"
     with _job_folder(options.job_dir) as folder, contextlib.closing(ProgressPrinter(options.progress)) as printer:
@@ -127,8 +141,11 @@ def run(options: argparse.Namespace) -> None:
     print_message(f"{sentence}{axis}, in '{options.out}'.")
 
 
-def read_splats(path: Path, drop_invalid: bool) -> SplatCloud:
-    """The splats of a file with its own axes; says how many were dropped."""
+def read_splats(path: Path, drop_invalid: bool, walls: Sequence[Path] = ()) -> SplatCloud:
+    """The splats of a file with its own axes; says how many were dropped.
+
+    walls: files of marked splats, by their rows in the file, see `read_walls`; their labels are an extra column.
+    """
     if formats.find_format(path) is formats.FORMATS["sog"]:
         _find_webp_decoder()
     splats = formats.read_splats(path, drop_invalid=drop_invalid)
@@ -137,7 +154,16 @@ def read_splats(path: Path, drop_invalid: bool) -> SplatCloud:
         print_message(f"'{path}': {dropped:,} invalid splats of {splats.total:,} were left out.")
     for note in splats.cloud.notes:
         print_message(f"'{path}': {note}.")
+    if walls:
+        labels = read_walls(walls, splats.total)[splats.kept]
+        return replace(splats.cloud, extra={**splats.cloud.extra, _WALLS: labels})
     return splats.cloud
+
+
+def _without_walls(cloud: SplatCloud) -> tuple[SplatCloud, Array | None]:
+    """The cloud without the column of walls, and the column."""
+    rest = {name: values for name, values in cloud.extra.items() if name != _WALLS}
+    return replace(cloud, extra=rest), cloud.extra.get(_WALLS)
 
 
 def _find_webp_decoder() -> None:
@@ -166,20 +192,6 @@ def clean(cloud: SplatCloud, drop_strays: bool, max_aspect: float, balls: bool) 
         cloud, needles = clamp_aspect(cloud, max_aspect)
         print_message(f"{needles.sum():,} needles of {cloud.count:,} splats were widened.")
     return isotropic(cloud) if balls else cloud
-
-
-def parse_options(given: list[str], option: str = "--guidance-option") -> dict[str, Any]:
-    """NAME=VALUE pairs as settings; a value that is JSON (a number, true) is taken as such, else as text."""
-    values: dict[str, Any] = {}
-    for pair in given:
-        name, equals, text = pair.partition("=")
-        if not name or not equals:
-            raise InputError(f"{option} '{pair}' is not NAME=VALUE.")
-        try:
-            values[name] = json.loads(text)
-        except ValueError:
-            values[name] = text
-    return values
 
 
 def guidance_options(options: argparse.Namespace) -> dict[str, Any]:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 def save_rigged(out: Path, obj: bpy.types.Object) -> None:
     """Write the splats with their armature as .glb, or the whole file as .blend. Raises GSkinError."""
     from ..scene import rig_files
+    from ..scene.deform_stack import shown_wrongly
     from ..scene.placement import as_in_file
     from ..scene.splat_object import read_cloud
 
@@ -29,6 +30,8 @@ def save_rigged(out: Path, obj: bpy.types.Object) -> None:
         say_left_out(out, as_in_file(obj, read_cloud(obj), GLTF_UP))
     else:
         rig_files.save_blend(out)
+        for sentence in shown_wrongly(obj):
+            print_message(f"Warning: {sentence}")
 
 
 def say_left_out(out: Path, cloud: SplatCloud) -> None:

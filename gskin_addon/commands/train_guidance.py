@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""`gskin train-guidance`: image pairs from rigged assets, and a guidance model fine-tuned on them (Sec. IV)."""
+"""`gskin train-guidance`: rigged models as assets, image pairs of these, a model fine-tuned on the pairs (Sec. IV)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..core.job.progress import ProgressEvent
 from ..core.job.progress_text import ProgressPrinter
 from ..core.pipeline.eta import StageEta
 from .console import print_message
-from .rig import parse_options
+from .job_settings import parse_options
 
 
 def run(options: argparse.Namespace) -> None:
@@ -26,7 +26,7 @@ def run(options: argparse.Namespace) -> None:
     reporter = Reporter(options.step, options.progress)
     with contextlib.closing(reporter):
         try:
-            {"pairs": _pairs, "tune": _tune}[options.step](options, reporter)
+            {"import": _import, "pairs": _pairs, "tune": _tune}[options.step](options, reporter)
         except KeyboardInterrupt:
             raise Stopped(
                 f"Stopped; what is finished stays in '{options.out}', and the same command goes on from there."
@@ -48,6 +48,15 @@ class Reporter:
         self._printer.close()
 
 
+def _import(options: argparse.Namespace, reporter: Reporter) -> None:
+    from .import_rigged import run as import_files
+
+    sentence = import_files(options, reporter)
+    reporter.close()
+    if sentence:
+        print_message(sentence)
+
+
 def _pairs(options: argparse.Namespace, reporter: Reporter) -> None:
     from ..core.training.guidance.make_pairs import PairSettings, make_pairs
 
@@ -60,6 +69,7 @@ def _pairs(options: argparse.Namespace, reporter: Reporter) -> None:
         per_family=options.per_family,
         leave_out=tuple(options.leave_out),
         any_licence=options.any_licence,
+        true_masks=options.true_masks,
     )
     made = make_pairs(options.assets, options.out, settings, reporter)
     reporter.close()

@@ -192,3 +192,22 @@ def write_png(path: Path, image: NDArray[Any], *, bits: int = 8, level: int = 6)
     header = struct.pack(">IIBBBBB", width, height, depth, 2 if channels == 3 else 6, 0, 0, 0)
     body = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows.tobytes(), level)) + chunk(b"IEND", b"")
     write_atomically(path, lambda file: file.write(b"\x89PNG\r\n\x1a\n" + body))
+
+
+def read_png(path: Path) -> NDArray[np.uint8]:
+    """The pixels (H, W, 3 or 4) of a PNG that `write_png` wrote with 8 bits; not of PNGs in general.
+
+    Raises:
+        OSError: it cannot be read. ValueError: it is another kind of file, or not whole.
+    """
+    data = path.read_bytes()
+    try:
+        width, height, depth, kind = struct.unpack_from(">IIBB", data, 16)
+        (size,) = struct.unpack_from(">I", data, 33)
+        channels = {2: 3, 6: 4}[kind]
+        rows = np.frombuffer(zlib.decompress(data[41 : 41 + size]), np.uint8).reshape(height, 1 + width * channels)
+        if data[:4] != b"\x89PNG" or data[37:41] != b"IDAT" or depth != 8 or rows[:, 0].any():
+            raise ValueError("another kind of PNG")
+    except (struct.error, KeyError, zlib.error, ValueError) as error:
+        raise ValueError(f"'{path}' is no PNG of ours ({first_line(error)})") from None
+    return rows[:, 1:].reshape(height, width, channels)

@@ -13,10 +13,12 @@ from ..core.errors import GSkinError, InputError
 from ..core.skinning.edits.body_graph import BodyGraph, body_graph
 from ..scene.bone_frames import armature_of
 from ..scene.seams import read_seams
+from ..scene.single_user import said_of, sharers
 from ..scene.splat_object import read_cloud
 from ..scene.steps import Steps, run_for, run_to_end
 from ..scene.weight_edits import Change, iter_edit_weights, selected_splats, shows_selection
 from ..session.chosen import chosen_splats
+from ._ticking import begin_ticking, end_ticking
 
 Array = NDArray[Any]
 
@@ -41,6 +43,8 @@ class WeightEdit:
     _steps: Steps[int] | None = None
     _timer: bpy.types.Timer | None = None
     _mode = ""
+    _sharers: list[str] = []
+    """Objects that have the same mesh and weights as the splats, before these change."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -57,6 +61,10 @@ class WeightEdit:
         """
         raise NotImplementedError
 
+    def done(self, count: int) -> str:
+        """What is said of the number of changed splats."""
+        return f"Weights of {count:,} splats changed"
+
     def words(self) -> str:
         """What is to be said besides the number of splats that changed."""
         return ""
@@ -66,10 +74,7 @@ class WeightEdit:
             return self.execute(context)
         if not self._begin(context):
             return {"CANCELLED"}
-        self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
-        operator: Any = self
-        context.window_manager.modal_handler_add(operator)
-        return {"RUNNING_MODAL"}
+        return begin_ticking(self, context, TICK)
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if event.type == "ESC" and event.value == "PRESS":
@@ -111,20 +116,24 @@ class WeightEdit:
             selected = selected_splats(splats) if chosen else None
             if selected is not None and not selected.any():
                 raise InputError(f"No splats of '{splats.name}' are selected; select some in Edit Mode (Tab).")
-            self._mode = splats.mode
+            self._mode, self._sharers = splats.mode, sharers(splats)
             if splats.mode == "EDIT":
                 # Weights can only be read and written outside it.
                 context.view_layer.objects.active = splats
                 bpy.ops.object.mode_set(mode="OBJECT")
-            self._steps = iter_edit_weights(splats, self.changes(splats, selected), self.reached(splats, selected))
+            self._steps = self.steps(context, splats, selected)
         except GSkinError as error:
             self._restore(splats)
             self.report({"ERROR"}, error.plain)
             return False
         return True
 
+    def steps(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Array | None) -> Steps[int]:
+        """The work in slices, of which only the last changes the scene; gives the number of splats changed."""
+        return iter_edit_weights(splats, self.changes(splats, selected), self.reached(splats, selected))
+
     def reached(self, splats: bpy.types.Object, selected: Array | None) -> Array | None:
-        """Splats (N,) bool that may change; None for all."""
+        """Splats (N,) bool that may change; None for all. `changes` may still mark some of them while it runs."""
         return selected
 
     def _end(self, context: bpy.types.Context, count: int | None, trouble: str) -> set[str]:
@@ -132,14 +141,14 @@ class WeightEdit:
         if count is None:
             self.report({"ERROR"}, trouble)
             return {"CANCELLED"}
-        self.report({"INFO"}, "; ".join(filter(None, (f"Weights of {count:,} splats changed", self.words()))))
+        splats = chosen_splats(context)
+        shared = said_of(splats, self._sharers) if count and splats is not None else ""
+        self.report({"INFO"}, "; ".join(filter(None, (self.done(count), self.words(), shared))))
         return {"FINISHED"}
 
     def _leave(self, context: bpy.types.Context) -> None:
         self._steps.close()
-        if self._timer is not None:
-            context.window_manager.event_timer_remove(self._timer)
-            self._timer = None
+        end_ticking(self, context)
         if context.workspace is not None:
             context.workspace.status_text_set(None)
         splats = chosen_splats(context)

@@ -24,6 +24,12 @@ class GSKIN_OT_anchor_to_mesh(bpy.types.Operator):
         "off, they move onto that limit, as in the paper",
         default=True,
     )
+    edges_only: bpy.props.BoolProperty(
+        name="Edges Only",
+        description="Read how the mesh deforms off its edges alone, as in the paper; off, what is scaled is scaled "
+        "along its normals, too",
+        default=False,
+    )
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -38,7 +44,9 @@ class GSKIN_OT_anchor_to_mesh(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         splats, proxy = chosen_splats(context), chosen_proxy(context)
         try:
-            anchors = anchor_to_mesh(splats, proxy, keep_residual=self.keep_residual)
+            anchors = anchor_to_mesh(
+                splats, proxy, keep_residual=self.keep_residual, edges_only=self.edges_only
+            )
         except GSkinError as error:
             self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}

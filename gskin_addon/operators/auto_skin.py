@@ -18,6 +18,7 @@ from ..core.job.settings import JobSettings
 from ..scene.blender_splats import make_riggable
 from ..scene.bone_frames import armature_of
 from ..scene.cleanup import begin_selecting
+from ..scene.handlers import settle
 from ..scene.steps import Steps, run_for
 from ..scene.weight_edits import selected_splats
 from ..scene.weights import is_edited
@@ -26,6 +27,7 @@ from ..session.chosen import chosen_armature, chosen_blender_splats, chosen_spla
 from ..session.preferences import job_python
 from ..session.readiness import what_is_missing
 from ..session.skin_job import SkinJob
+from ._ticking import begin_ticking, end_ticking
 
 Array = NDArray[Any]
 
@@ -66,10 +68,7 @@ class SkinOperator:
             return self.execute(context)
         if not self._start(context):
             return {"CANCELLED"}
-        self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
-        operator: Any = self
-        context.window_manager.modal_handler_add(operator)
-        return {"RUNNING_MODAL"}
+        return begin_ticking(self, context, TICK)
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if event.type == "ESC" and event.value == "PRESS":
@@ -171,9 +170,7 @@ class SkinOperator:
         if self._writing is not None:
             self._writing.close()
             self._writing = None
-        if self._timer is not None:
-            context.window_manager.event_timer_remove(self._timer)
-            self._timer = None
+        end_ticking(self, context)
         status_bar.clear(context)
 
 
@@ -202,6 +199,8 @@ class GSKIN_OT_auto_skin(SkinOperator, bpy.types.Operator):
         """As a job starts; weights that were changed by hand are asked about first."""
         splats = chosen_splats(context)
         watched = not bpy.app.background and context.window is not None
+        if splats is not None:
+            settle(splats)  # a hand's last change may not have been noticed yet
         if watched and not self.confirmed and splats is not None and is_edited(splats):
             _ours().auto_skin_again("INVOKE_DEFAULT")
             return {"CANCELLED"}  # the other operator starts this one again

@@ -9,28 +9,31 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy_extras.io_utils import ImportHelper
 
-from ..core.errors import GSkinError
-from ..core.rig.weights_file import read_weights_file
+from ..core.job.skinned_files import read_weights
+from ..scene.armature import deform_bone_names
 from ..scene.binding import bind, check_splats
-from ..scene.bone_frames import armature_of
+from ..scene.fabric import iter_fabric, lay_under, strongest_of
 from ..scene.influences import splats_without_bones
+from ..scene.object_ref import ObjectRef
 from ..scene.single_user import own_mesh, said_of, sharers
 from ..scene.splat_object import splat_count
-from ..scene.weights import update_rotation_weights, write_weights
-from ..session.chosen import chosen_armature, chosen_splats
+from ..scene.steps import Steps, in_thread, part_of
+from ..scene.weights import iter_read_weights, iter_write_weights, update_rotation_weights
+from ..session.chosen import chosen_armature, chosen_splats, panel_settings
+from ._sliced import Sliced
 
 
-class GSKIN_OT_load_weights(bpy.types.Operator, ImportHelper):
-    """Bind the splats to the armature with skinning weights from an .npz file"""
+class GSKIN_OT_load_weights(Sliced, bpy.types.Operator, ImportHelper):
+    """Bind the splats to the armature with skinning weights from an .npz file, or a .txt as RigNet writes it"""
 
     bl_idname = "gskin.load_weights"
-    bl_label = "Load Splat Weights (.npz)"
+    bl_label = "Load Splat Weights"
     bl_options = {"REGISTER", "UNDO"}
 
     filename_ext = ".npz"
     if TYPE_CHECKING:
         filepath: str  # ImportHelper's
-    filter_glob: bpy.props.StringProperty(default="*.npz", options={"HIDDEN"})
+    filter_glob: bpy.props.StringProperty(default="*.npz;*.txt", options={"HIDDEN"})
     max_influences: bpy.props.IntProperty(
         name="Max Influences", description="The most bones that move one splat", default=4, min=1, max=4
     )
@@ -39,28 +42,41 @@ class GSKIN_OT_load_weights(bpy.types.Operator, ImportHelper):
     def poll(cls, context: bpy.types.Context) -> bool:
         return _has_both(cls, context)
 
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.asked = True
+        answer: set[str] = set(super().invoke(context, event))
+        return answer
+
     def execute(self, context: bpy.types.Context) -> set[str]:
+        return self.begin(context)
+
+    def steps(self, context: bpy.types.Context) -> Steps[str]:
+        """Read, write the weights, lay the fabric; only the last slice changes the scene."""
         splats, armature = chosen_splats(context), chosen_armature(context)
-        try:
-            result = read_weights_file(Path(self.filepath))
-            shared = said_of(splats, sharers(splats))
-            write_weights(
-                splats,
-                armature,
-                result.weights,
-                result.bones,
-                max_influences=self.max_influences,
-                confidence=result.confidence,
-            )
-        except GSkinError as error:
-            self.report({"ERROR"}, error.plain)
-            return {"CANCELLED"}
-        words = f"{len(result.weights):,} splats follow {len(result.bones)} bones of '{armature.name}'"
-        self.report({"INFO"}, f"{words}; {shared}" if shared else words)
-        return {"FINISHED"}
+        paintable, name = panel_settings(context).paintable, armature.name
+        path, bones = Path(self.filepath), deform_bone_names(armature)
+        result = yield from in_thread(lambda: read_weights(path, bones))
+        shared = said_of(splats, sharers(splats))
+        fabric = None
+        if paintable and len(result.weights) == splat_count(splats):
+            bone = strongest_of(result.weights, result.bones, armature)
+            fabric = yield from part_of(iter_fabric(splats, bone, armature), 0.0, 0.3)
+        writing = iter_write_weights(
+            splats,
+            armature,
+            result.weights,
+            result.bones,
+            max_influences=self.max_influences,
+            confidence=result.confidence,
+        )
+        yield from part_of(writing, 0.3, 1.0)
+        if fabric is not None:
+            lay_under(splats, fabric)
+        words = f"{len(result.weights):,} splats follow {len(result.bones)} bones of '{name}'"
+        return f"{words}; {shared}" if shared else words
 
 
-class GSKIN_OT_bind_to_armature(bpy.types.Operator):
+class GSKIN_OT_bind_to_armature(Sliced, bpy.types.Operator):
     """Let the splats follow the armature with the vertex groups that they have"""
 
     bl_idname = "gskin.bind_to_armature"
@@ -71,52 +87,40 @@ class GSKIN_OT_bind_to_armature(bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         return _has_both(cls, context)
 
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.asked = True
+        return self.execute(context)
+
     def execute(self, context: bpy.types.Context) -> set[str]:
+        return self.begin(context)
+
+    def steps(self, context: bpy.types.Context) -> Steps[str]:
+        """Make the fabric, then bind, in the last slice."""
         splats, armature = chosen_splats(context), chosen_armature(context)
-        try:
-            check_splats(splats)
-            shared = said_of(splats, own_mesh(splats))
-            bind(splats, armature)
-            update_rotation_weights(splats)
-        except GSkinError as error:
-            self.report({"ERROR"}, error.plain)
-            return {"CANCELLED"}
+        check_splats(splats)
+        name, bones, ref = armature.name, deform_bone_names(armature), ObjectRef(splats)
+        fabric = None
+        if panel_settings(context).paintable:
+            weights, _ = yield from part_of(iter_read_weights(splats, bones), 0.0, 0.4)
+            bone = strongest_of(weights, bones, armature)
+            fabric = yield from part_of(iter_fabric(splats, bone, armature), 0.4, 0.9)
+            splats = ref.find()
+        shared = said_of(splats, own_mesh(splats))
+        bind(splats, armature)
+        update_rotation_weights(splats)
+        if fabric is not None:
+            lay_under(splats, fabric)
         still, total = splats_without_bones(splats), splat_count(splats)
         if shared:
             self.report({"INFO"}, shared)
         if still:
             self.report(
                 {"WARNING"},
-                f"{still:,} of {total:,} splats have no weights for bones of '{armature.name}' and stay as they are; "
+                f"{still:,} of {total:,} splats have no weights for bones of '{name}' and stay as they are; "
                 "paint weights, load them or run Auto-Skin",
             )
-        else:
-            self.report({"INFO"}, f"{total:,} splats follow '{armature.name}'")
-        return {"FINISHED"}
-
-
-class GSKIN_OT_update_rotation_weights(bpy.types.Operator):
-    """Take changed vertex groups over into the rotation of the splats. Leaving Weight Paint does it by itself"""
-
-    bl_idname = "gskin.update_rotation_weights"
-    bl_label = "Update Splat Rotation Weights"
-    bl_options = {"REGISTER", "UNDO"}
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        splats = chosen_splats(context)
-        if splats is None or armature_of(splats) is None:
-            cls.poll_message_set("Select splats that follow an armature")
-            return False
-        return _not_edited(cls, context)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        try:
-            update_rotation_weights(chosen_splats(context))
-        except GSkinError as error:
-            self.report({"ERROR"}, error.plain)
-            return {"CANCELLED"}
-        return {"FINISHED"}
+            return ""
+        return f"{total:,} splats follow '{name}'"
 
 
 def _has_both(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
@@ -136,4 +140,4 @@ def _not_edited(operator: type[bpy.types.Operator], context: bpy.types.Context) 
     return True
 
 
-CLASSES = (GSKIN_OT_load_weights, GSKIN_OT_bind_to_armature, GSKIN_OT_update_rotation_weights)
+CLASSES = (GSKIN_OT_load_weights, GSKIN_OT_bind_to_armature)

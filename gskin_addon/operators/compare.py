@@ -8,6 +8,7 @@ import bpy
 from ..core.errors import GSkinError
 from ..scene.bone_frames import armature_of
 from ..scene.compared import Side, compared, show_side
+from ..scene.single_user import said_of, sharers
 from ..session.chosen import chosen_splats
 
 
@@ -56,12 +57,15 @@ class GSKIN_OT_compare_weights(bpy.types.Operator):
         side: Side = "before" if shown == "result" else "result"
         if self.show != "OTHER":
             side = "before" if self.show == "BEFORE" else "result"
+        others = sharers(splats)
         try:
             show_side(splats, side)
         except GSkinError as error:
             self.report({"ERROR"}, error.plain)
             return {"CANCELLED"}
-        self.report({"INFO"}, f"'{splats.name}' follows " + (name if side == "before" else "the learned weights"))
+        words = f"'{splats.name}' follows " + (name if side == "before" else "the learned weights")
+        alone = others if len(sharers(splats)) < len(others) else []
+        self.report({"INFO"}, "; ".join(filter(None, (words, said_of(splats, alone)))))
         return {"FINISHED"}
 
 

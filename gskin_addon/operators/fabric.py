@@ -5,15 +5,15 @@ from __future__ import annotations
 
 import bpy
 
-from ..core.errors import GSkinError
 from ..scene.cleanup import begin_selecting
 from ..scene.fabric import has_fabric, iter_make_fabric, strip_fabric
 from ..scene.splat_object import is_splat_object
-from ..scene.steps import run_to_end
+from ..scene.steps import Steps
 from ..session.chosen import chosen_splats
+from ._sliced import Sliced
 
 
-class GSKIN_OT_make_paintable(bpy.types.Operator):
+class GSKIN_OT_make_paintable(Sliced, bpy.types.Operator):
     """Lay a fabric under the splats, so that Blender's brushes and weight tools work on them. It is seen in Weight
     Paint and Edit Mode only, and never rendered or exported. Auto-Skin does this by itself"""
 
@@ -28,20 +28,23 @@ class GSKIN_OT_make_paintable(bpy.types.Operator):
             return False
         return True
 
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.asked = True
+        return self.execute(context)
+
     def execute(self, context: bpy.types.Context) -> set[str]:
+        return self.begin(context)
+
+    def steps(self, context: bpy.types.Context) -> Steps[str]:
         splats = chosen_splats(context)
         mode = splats.mode
+        begin_selecting(context, splats)
         try:
-            begin_selecting(context, splats)
-            count = run_to_end(iter_make_fabric(splats))
-        except GSkinError as error:
-            self.report({"ERROR"}, error.plain)
-            return {"CANCELLED"}
+            count = yield from iter_make_fabric(splats)
         finally:
             if splats.mode != mode:
                 bpy.ops.object.mode_set(mode=mode)
-        self.report({"INFO"}, f"{count:,} triangles join the splats of '{splats.name}' for painting and selecting")
-        return {"FINISHED"}
+        return f"{count:,} triangles join the splats of '{splats.name}' for painting and selecting"
 
 
 class GSKIN_OT_remove_fabric(bpy.types.Operator):

@@ -18,6 +18,7 @@ from ..scene.render import prepare_scene
 from ..scene.steps import Steps, part_of, run_for, run_to_end
 from ..session import readiness
 from ..session.chosen import chosen_armature
+from ._ticking import begin_ticking, end_ticking
 
 _GLOB = ";".join([*(f"*{suffix}" for suffix in FILE_TYPES), META])
 _PAUSE, _SLICE = 0.01, 0.05
@@ -90,10 +91,7 @@ class GSKIN_OT_import_splats(bpy.types.Operator, ImportHelper):
         if not self._asked or context.window is None:
             run_to_end(self._steps)
             return self._finish(context)
-        manager = context.window_manager
-        self._timer = manager.event_timer_add(_PAUSE, window=context.window)
-        manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
+        return begin_ticking(self, context, _PAUSE)
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Go on for a moment; Esc ends it. The view can be turned meanwhile, and nothing else be done."""
@@ -122,8 +120,7 @@ class GSKIN_OT_import_splats(bpy.types.Operator, ImportHelper):
         if self._timer is None:
             return  # the file browser was closed
         self._steps.close()
-        context.window_manager.event_timer_remove(self._timer)
-        self._timer = None
+        end_ticking(self, context)
         if context.workspace is not None:
             context.workspace.status_text_set(None)
 

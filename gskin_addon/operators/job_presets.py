@@ -18,7 +18,7 @@ class GSKIN_OT_job_preset_add(AddPresetBase, bpy.types.Operator):
     preset_subdir = FOLDER
     preset_defines = ["settings = bpy.context.scene.gskin"]
     preset_values = [
-        f"settings.{name}" for name in ("init", "guidance", "preset", "front", "max_influences", "seed")
+        f"settings.{name}" for name in ("preset", "init", "guidance", "front", "max_influences", "seed")
     ]
 
 

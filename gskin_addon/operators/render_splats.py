@@ -14,6 +14,7 @@ from ..session import running_job, status_bar
 from ..session.preferences import job_python, worker_python
 from ..session.render_job import RenderJob
 from ..session.render_settings import render_settings
+from ._ticking import begin_ticking, end_ticking
 
 TICK = 0.05
 """Seconds between two looks at the process that draws."""
@@ -53,9 +54,7 @@ class GSKIN_OT_render_splats(bpy.types.Operator):
             return self.execute(context)
         if not self._start(context):
             return {"CANCELLED"}
-        self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
+        return begin_ticking(self, context, TICK)
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if event.type == "ESC" and event.value == "PRESS":
@@ -129,9 +128,7 @@ class GSKIN_OT_render_splats(bpy.types.Operator):
         return {"CANCELLED"}
 
     def _leave(self, context: bpy.types.Context) -> None:
-        if self._timer is not None:
-            context.window_manager.event_timer_remove(self._timer)
-            self._timer = None
+        end_ticking(self, context)
         status_bar.clear(context)
 
 

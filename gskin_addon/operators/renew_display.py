@@ -6,8 +6,9 @@ from __future__ import annotations
 import bpy
 
 from ..scene.bone_frames import armature_modifier
+from ..scene.display_inputs import BY_SHADER
 from ..scene.node_builder import has_input
-from ..scene.node_groups import BY_SHADER, find_display, renew_display
+from ..scene.node_groups import find_display, renew_display
 from ..scene.rotation_nodes import add_rotation, frames_of
 from ..session.chosen import chosen_splats
 

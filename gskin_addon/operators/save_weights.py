@@ -16,15 +16,27 @@ from ..session.chosen import chosen_splats
 
 
 class GSKIN_OT_save_weights(bpy.types.Operator, ExportHelper):
-    """Save the splats' weights, with the bones they belong to, as an .npz file that Load Splat Weights reads"""
+    """Save the splats' weights, with the bones they belong to, as a file that Load Splat Weights reads"""
 
     bl_idname = "gskin.save_weights"
-    bl_label = "Save Splat Weights (.npz)"
+    bl_label = "Save Splat Weights"
 
-    filename_ext = ".npz"
     if TYPE_CHECKING:
         filepath: str  # ExportHelper's
-    filter_glob: bpy.props.StringProperty(default="*.npz", options={"HIDDEN"})
+    filter_glob: bpy.props.StringProperty(default="*.npz;*.txt", options={"HIDDEN"})
+    kind: bpy.props.EnumProperty(
+        name="Format",
+        items=(
+            ("NPZ", "Arrays (.npz)", "All that Load Splat Weights needs, with the confidence"),
+            ("RIGNET", "RigNet (.txt)", "A text of joints and weights, as RigNet and other rigging programs have it"),
+        ),
+        default="NPZ",
+    )
+
+    @property
+    def filename_ext(self) -> str:
+        """What ExportHelper lets the name end in."""
+        return ".txt" if self.kind == "RIGNET" else ".npz"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

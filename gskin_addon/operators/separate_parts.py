@@ -3,30 +3,36 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 import numpy as np
 
-from ..core.errors import GSkinError, InputError
+from ..core.skinning.edits.keep_apart import keep_apart
 from ..core.skinning.edits.separate import separate
 from ..scene import names
 from ..scene.armature import read_skeleton
 from ..scene.bone_frames import armature_of
 from ..scene.cleanup import begin_selecting, show_selected
+from ..scene.fabric import cut_fabric
+from ..scene.object_ref import object_by_uid
 from ..scene.seams import read_seams, write_seams
 from ..scene.splat_object import read_cloud
-from ..scene.weight_edits import selected_splats
-from ..scene.weights import read_weights
+from ..scene.steps import Steps
+from ..scene.weight_edits import Change, selected_splats
 from ..session.chosen import chosen_splats
 from ._weight_edit import WeightEdit, bone_column, search_bones
 
 
-class GSKIN_OT_separate_parts(bpy.types.Operator):
+class GSKIN_OT_separate_parts(WeightEdit, bpy.types.Operator):
     """Mark the selected splats as a part that only touches what is around it, as a helmet in a hand touches the thigh:
-    Auto-Skin, Smooth and the other tools then do not go from one to the other. What holds it is left open"""
+    neither follows the other's bones any more, and Auto-Skin, Smooth and the other tools do not go from one to the
+    other. What holds the part is left open"""
 
     bl_idname = "gskin.separate_parts"
     bl_label = "Separate Selection"
-    bl_options = {"REGISTER", "UNDO"}
+
+    needs_selection = True
 
     bone: bpy.props.StringProperty(
         name="Belongs to",
@@ -35,47 +41,52 @@ class GSKIN_OT_separate_parts(bpy.types.Operator):
     )
     reach: bpy.props.FloatProperty(
         name="Reach",
-        description="How far from the selection the other side of the seam goes",
-        default=0.05,
+        description="How far from the selection the other side of the seam goes; 0: a twentieth of the body's size",
+        default=0.0,
         min=0.0,
         soft_max=0.5,
         unit="LENGTH",
     )
+    free: bpy.props.BoolProperty(
+        name="Free Both Sides",
+        description="Take from each side the weights of the other side's bones at once; off, only mark the seam",
+        default=True,
+    )
 
-    poll = WeightEdit.poll
+    _labels: Any = None
+    _marked = 0
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        splats = chosen_splats(context)
-        mode = splats.mode
-        try:
-            selected = selected_splats(splats)
-            if not selected.any():
-                raise InputError(f"No splats of '{splats.name}' are selected; select one side of the seam.")
-            begin_selecting(context, splats)
-            skeleton = read_skeleton(armature_of(splats))
-            bones = list(skeleton.names)
-            labels = separate(
-                read_cloud(splats).means,
-                read_weights(splats, bones)[0],
-                skeleton,
-                selected,
-                self.reach,
-                bone=bone_column(splats, self.bone, bones) if self.bone else None,
-                sides=read_seams(splats),
-            )
-            write_seams(splats, labels)
-        except GSkinError as error:
-            self.report({"ERROR"}, error.plain)
-            return {"CANCELLED"}
-        finally:
-            if mode != splats.mode:
-                bpy.ops.object.mode_set(mode=mode)
-        other = int((labels == labels.max()).sum())
-        self.report(
-            {"INFO"},
-            f"{selected.sum():,} splats are apart from {other:,} that they touch; run Auto-Skin, or Refine Selected",
-        )
-        return {"FINISHED"}
+    def changes(self, splats: bpy.types.Object, selected: Any) -> Change:
+        skeleton, means, sides = read_skeleton(armature_of(splats)), read_cloud(splats).means, read_seams(splats)
+        column = bone_column(splats, self.bone, list(skeleton.names)) if self.bone else None
+        self._reached, self._marked = np.zeros(len(means), np.bool_), int(selected.sum())
+        reach, free = self.reach, self.free
+
+        def change(weights: Any) -> Any:
+            self._labels = separate(means, weights, skeleton, selected, reach, bone=column, sides=sides)
+            if not free:
+                return weights
+            own = {} if column is None else {int(self._labels[selected][0]): column}
+            after, self._reached[:] = keep_apart(weights, means, self._labels, skeleton, bones=own)
+            return after
+
+        return change
+
+    def reached(self, splats: bpy.types.Object, selected: Any) -> Any:
+        """Known when it is done."""
+        return self._reached
+
+    def steps(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Any) -> Steps[int]:
+        uid = splats.session_uid
+        count = yield from super().steps(context, splats, selected)
+        splats = object_by_uid(uid)
+        write_seams(splats, self._labels)
+        cut_fabric(splats, self._labels)
+        return count
+
+    def done(self, count: int) -> str:
+        other = int((self._labels == self._labels.max()).sum())
+        return f"{self._marked:,} splats are apart from {other:,} that they touch; weights of {count:,} were freed"
 
 
 class GSKIN_OT_select_seams(bpy.types.Operator):

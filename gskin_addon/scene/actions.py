@@ -2,7 +2,9 @@
 """Whose an action is. From Blender 4.4 an action has slots, one for each thing that it moves; before, it is one whole.
 
 An action's part is an object's if the object uses it, now or in the NLA. One that nobody uses is the object's by the
-name of its slot, or, where that names nobody, because it moves the object's bones.
+name of its slot, or, where that names nobody, because it moves the object's bones. So it is with all loose actions of
+files from before 4.4. Where another armature has these bones, too, nothing says whose it is: such a part is asked for
+or left out with a word, and never taken in silence.
 """
 
 from __future__ import annotations
@@ -88,14 +90,42 @@ def foreign_reason(part: Part, obj: bpy.types.Object) -> str:
     moved = bones_of(part)
     if not moved:
         return f"moves no bone of '{obj.name}'"
-    known = {bone.name for bone in obj.data.bones} if obj.type == "ARMATURE" else set()
+    known = _bones(obj)
     if 2 * len(moved & known) < len(moved):
         return f"moves bones that '{obj.name}' does not have, such as '{min(moved - known)}'"
+    better = [other for other in _armatures(obj) if len(moved & _bones(other)) > len(moved & known)]
+    if better:
+        missing = min((moved & _bones(better[0])) - known)
+        return f"fits '{better[0].name}' better, which has bone '{missing}', too"
     return ""
 
 
 def own_parts(obj: bpy.types.Object) -> list[Part]:
-    """The parts of all actions of the file that are the object's own."""
+    """The parts of all actions of the file that are surely the object's own."""
+    return [part for part in _fitting(obj) if not rivals(part, obj)]
+
+
+def is_own(part: Part, obj: bpy.types.Object) -> bool:
+    """Whether a part of an action is surely the object's own."""
+    return belongs(part, obj) and not rivals(part, obj)
+
+
+def left_to_guess(obj: bpy.types.Object) -> list[str]:
+    """Sentences about actions that may be the object's as well as another's, and that nobody uses."""
+    found: dict[tuple[str, ...], list[str]] = {}
+    for part in _fitting(obj):
+        others = tuple(rivals(part, obj))
+        if others:
+            found.setdefault(others, []).append(f"'{part.action.name}'")
+    return [
+        f"{len(names)} unused {'action' if len(names) == 1 else 'actions'} ({', '.join(names[:5])}"
+        f"{', ...' if len(names) > 5 else ''}) may belong to '{obj.name}' or to {' or to '.join(others)}, and nothing "
+        f"says to which, so they are left out; assign them to their armature (in its NLA), save, and try again."
+        for others, names in found.items()
+    ]
+
+
+def _fitting(obj: bpy.types.Object) -> list[Part]:
     return [part for action in bpy.data.actions for part in parts_of(action) if belongs(part, obj)]
 
 
@@ -123,10 +153,10 @@ def choose_part(obj: bpy.types.Object, name: str, slot: str | None = None) -> Pa
     if len(preferred) > 1:
         slots = ", ".join(f"'{part.slot.name_display}'" for part in preferred)
         raise InputError(f"The action '{name}' has several slots that fit '{obj.name}': {slots}; choose with --slot.")
-    rivals = _rivals(preferred[0], obj)
-    if rivals:
+    owners = [] if slot is not None else rivals(preferred[0], obj)
+    if owners:
         raise InputError(
-            f"The action '{name}' fits '{obj.name}' and {' and '.join(rivals)}, and Blender before 4.4 does not keep "
+            f"The action '{name}' fits '{obj.name}' and {' and '.join(owners)}, and Blender before 4.4 does not keep "
             "whose it is; assign it to its armature, save the file, and try again."
         )
     return preferred[0]
@@ -143,36 +173,64 @@ def assign(obj: bpy.types.Object, part: Part) -> None:
         data.action_slot = part.slot
 
 
-def drop_foreign(actions: Iterable[bpy.types.Action], kept: Iterable[bpy.types.Object]) -> None:
-    """Remove what of these actions is none of the kept objects', nor of their data's.
+def drop_foreign(actions: Iterable[bpy.types.Action], kept: Iterable[bpy.types.Object]) -> list[str]:
+    """Remove what of these actions is none of the kept objects', nor of their data's; gives sentences about doubts.
 
-    To be called while the others are still there: what they use is known as theirs.
+    To be called while the others are still there: what they use is known as theirs. What may be a kept object's as
+    well as another's is removed, too, and said.
     """
     objects = list(kept)
     ids = {*objects, *(obj.data for obj in objects if obj.data is not None)}
     ids |= {keys for data in [*ids] if (keys := getattr(data, "shape_keys", None)) is not None}
+    doubts = [sentence for obj in objects for sentence in left_to_guess(obj)]
+    wanted = {
+        (action, part.slot and part.slot.identifier)
+        for action in actions
+        for part in parts_of(action)
+        if any(is_own(part, obj) for obj in objects)
+    }
     for action in list(actions):
         slots: Any = getattr(action, "slots", None)
         if slots is None:
-            part = Part(action)
-            if not (users_of(part) & ids or any(belongs(part, obj) for obj in objects)):
+            if not (users_of(Part(action)) & ids or (action, None) in wanted):
                 bpy.data.actions.remove(action)
             continue
         for slot in list(slots):
-            part = Part(action, slot)
-            if not (users_of(part) & ids or any(belongs(part, obj) for obj in objects)):
+            if not (users_of(Part(action, slot)) & ids or (action, slot.identifier) in wanted):
                 slots.remove(slot)
         if not len(slots):
             bpy.data.actions.remove(action)
+    return doubts
 
 
-def _rivals(part: Part, obj: bpy.types.Object) -> list[str]:
-    """Other armatures whose an unused action without slots may be as well."""
-    moved = bones_of(part)
-    if part.slot is not None or not moved or users_of(part):
+def rivals(part: Part, obj: bpy.types.Object) -> list[str]:
+    """Other armatures, in quotes, whose a part that fits `obj` may be as well: nobody uses it, no name says whose."""
+    if users_of(part) or _named(part) == obj.name:
         return []
-    armatures = [other for other in bpy.data.objects if other.type == "ARMATURE" and other != obj]
-    return sorted(f"'{other.name}'" for other in armatures if moved <= {bone.name for bone in other.data.bones})
+    moved, last = bones_of(part), _used_last(part, obj)
+    # An armature that has a slot of its own in the action is not meant by another one.
+    slotted = [other for other in parts_of(part.action) if other.slot is not None]
+    settled = {user for other in slotted for user in users_of(other)} | {_named(other) for other in slotted}
+    found = []
+    for other in _armatures(obj):
+        known = len(moved & _bones(other)) >= len(moved & _bones(obj))
+        if known and settled.isdisjoint((other, other.name)) and _used_last(part, other) >= last:
+            found.append(f"'{other.name}'")
+    return sorted(found)
+
+
+def _armatures(obj: bpy.types.Object) -> list[bpy.types.Object]:
+    """The other armatures of the file, without the linked ones that `obj` was made of."""
+    made_of = obj.override_library.reference if obj.override_library is not None else None
+    return [
+        other
+        for other in bpy.data.objects
+        if other.type == "ARMATURE" and other not in (obj, made_of) and not (other.library and other.name == obj.name)
+    ]
+
+
+def _bones(obj: bpy.types.Object) -> set[str]:
+    return {bone.name for bone in obj.data.bones} if obj.type == "ARMATURE" else set()
 
 
 def _named(part: Part) -> str:
@@ -184,7 +242,10 @@ def _named(part: Part) -> str:
 
 
 def _preferred(part: Part, obj: bpy.types.Object) -> bool:
-    if obj in users_of(part) or _named(part) == obj.name:
-        return True
+    return obj in users_of(part) or _named(part) == obj.name or _used_last(part, obj)
+
+
+def _used_last(part: Part, obj: bpy.types.Object) -> bool:
+    """Whether the object's last action had a slot of this name; files from before 4.4 give all actions the same."""
     data: Any = obj.animation_data
     return part.slot is not None and data is not None and data.last_slot_identifier == part.slot.identifier

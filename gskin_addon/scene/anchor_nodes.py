@@ -17,7 +17,7 @@ from . import names
 from .node_algebra import Columns, combine, jacobi, parts, polar_rotation, vector
 from .node_builder import Tree, find_group, geometry_group
 
-VERSION = 1
+VERSION = 2
 PROXY_INPUT = "Proxy Mesh"
 MESH_INPUT = "Anchor Mesh"
 
@@ -95,6 +95,7 @@ def _build(group: bpy.types.NodeTree) -> None:
         "NodeGroupOutput",
         {"Geometry": tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")},
     )
+    tree.lay_out()
 
 
 def _geometry(tree: Tree, obj: Any, space: str) -> Any:
@@ -120,19 +121,25 @@ def _with_maps(tree: Tree, mesh: Any) -> Any:
         return tree.vector("SUBTRACT", there, position)
 
     to_next, to_last = edge(names.CORNER_NEXT), edge(names.CORNER_LAST)
-    seen = [to_next, to_last, tree.vector("NORMALIZE", tree.vector("CROSS_PRODUCT", to_next, to_last))]
-    coefficients = [parts(tree, tree.attribute(name, "FLOAT_VECTOR")) for name in names.MAP_COEFFICIENTS]
     vertex = tree.out(
         "GeometryNodeVertexOfCorner", "Vertex Index", {"Corner Index": tree.out("GeometryNodeInputIndex", "Index")}
     )
-    columns = []
-    for k in range(3):
-        added = combine(tree, seen, [parts[k] for parts in coefficients])
-        node = tree.node(
-            "GeometryNodeAccumulateField", {0: added}, data_type="FLOAT_VECTOR", domain="CORNER"
-        )
+
+    def at_vertex(added: Any, kind: str) -> Any:
+        """What the corners of a vertex add up to."""
+        node = tree.node("GeometryNodeAccumulateField", data_type=kind, domain="CORNER")
+        tree.connect(added, next(s for s in node.inputs if s.name == "Value" and s.enabled))
         tree.connect(vertex, next(s for s in node.inputs if s.name.startswith("Group") and s.enabled))
-        columns.append(tree.output(node, "Total"))
+        return next(s for s in node.outputs if s.name == "Total" and s.enabled)
+
+    across = tree.vector("CROSS_PRODUCT", to_next, to_last)
+    area = tree.math("MULTIPLY", tree.vector("LENGTH", across), tree.attribute(names.RING_SHARE, "FLOAT"))
+    thick = tree.scale(tree.vector("NORMALIZE", across), tree.math("SQRT", at_vertex(area, "FLOAT")))
+    seen = [to_next, to_last, thick]
+    coefficients = [parts(tree, tree.attribute(name, "FLOAT_VECTOR")) for name in names.MAP_COEFFICIENTS]
+    columns = [
+        at_vertex(combine(tree, seen, [parts[k] for parts in coefficients]), "FLOAT_VECTOR") for k in range(3)
+    ]
     stored = [f"gskin:t_{k}" for k in range(3)]
     mesh = _store(tree, mesh, stored, columns)
     maps = [tree.attribute(name, "FLOAT_VECTOR") for name in stored]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError
 from ..core.rig.anchoring import Anchors, anchor_splats, check_fit
-from ..core.rig.vertex_maps import ring_coefficients
+from ..core.rig.vertex_maps import rest_rings
 from . import names
 from .anchor_nodes import MESH_INPUT, PROXY_INPUT, anchor_group, find_anchor
 from .attributes import ObjectData, read_attribute, read_positions, write_attribute, write_positions
@@ -32,16 +32,19 @@ Array = NDArray[Any]
 _ATTRIBUTES = (names.FACE, names.BARY, names.BETA, names.RESIDUAL, names.REACH)
 
 
-def anchor_to_mesh(obj: bpy.types.Object, proxy: bpy.types.Object, *, keep_residual: bool = True) -> Anchors:
+def anchor_to_mesh(
+    obj: bpy.types.Object, proxy: bpy.types.Object, *, keep_residual: bool = True, edges_only: bool = False
+) -> Anchors:
     """Let the splats of `obj` follow the mesh object `proxy`, both as they are at rest (without modifiers).
 
     An Armature modifier of the splats and the rotation nodes that go with it are taken off, since the proxy moves
-    the splats now; vertex groups stay. Anchoring again replaces the anchors.
+    the splats now; vertex groups stay. Anchoring again replaces the anchors. edges_only: see
+    `core.rig.vertex_maps.rest_rings`.
 
     Raises InputError: no splats, no usable mesh, modifiers that change the mesh's points, a mesh elsewhere.
     """
     found = find_anchors(obj, proxy, keep_residual=keep_residual)
-    attach(obj, proxy, *found)
+    attach(obj, proxy, *found, edges_only=edges_only)
     return found[0]
 
 
@@ -70,9 +73,15 @@ def find_anchors(
 
 
 def attach(
-    obj: bpy.types.Object, proxy: bpy.types.Object, anchors: Anchors, verts: Array, faces: Array
+    obj: bpy.types.Object,
+    proxy: bpy.types.Object,
+    anchors: Anchors,
+    verts: Array,
+    faces: Array,
+    *,
+    edges_only: bool = False,
 ) -> None:
-    """Hang the splats on the mesh by what `find_anchors` found."""
+    """Hang the splats on the mesh by what `find_anchors` found; edges_only: as in `anchor_to_mesh`."""
     mesh = obj.data
     write_attribute(mesh, names.FACE, "INT", anchors.face)
     write_attribute(mesh, names.BARY, "FLOAT_VECTOR", anchors.bary)
@@ -91,7 +100,7 @@ def attach(
             obj.modifiers.move(obj.modifiers.find(modifier.name), obj.modifiers.find(display.name))
     modifier.node_group = anchor_group()
     set_input(modifier, PROXY_INPUT, proxy)
-    set_input(modifier, MESH_INPUT, _anchor_mesh(proxy.name, verts, faces))
+    set_input(modifier, MESH_INPUT, _anchor_mesh(proxy.name, verts, faces, edges_only))
 
 
 def release(obj: bpy.types.Object) -> None:
@@ -126,6 +135,13 @@ def read_anchors(obj: bpy.types.Object) -> tuple[Anchors, Array, Array]:
     return anchors, read_positions(helper.data).astype(np.float64), _triangles(helper.data)
 
 
+def has_edges_only(obj: bpy.types.Object) -> bool:
+    """Whether the splats were anchored with `edges_only`."""
+    modifier = find_anchor(obj)
+    helper = None if modifier is None else get_input(modifier, MESH_INPUT)
+    return helper is not None and bool(helper.get(names.EDGES_ONLY, False))
+
+
 def read_mesh(proxy: bpy.types.Object) -> tuple[Array, Array]:
     """Vertices (V, 3) float64 in the object's own space and triangles (F, 3) of a mesh object, without modifiers.
 
@@ -155,7 +171,7 @@ def _triangles(mesh: ObjectData) -> Array:
     return flat.reshape(-1, 3).astype(np.int64)
 
 
-def _anchor_mesh(name: str, verts: Array, faces: Array) -> bpy.types.Object:
+def _anchor_mesh(name: str, verts: Array, faces: Array, edges_only: bool) -> bpy.types.Object:
     mesh = bpy.data.meshes.new(f"GSkin Anchor Mesh ({name})")
     mesh.vertices.add(len(verts))
     mesh.loops.add(faces.size)
@@ -167,12 +183,16 @@ def _anchor_mesh(name: str, verts: Array, faces: Array) -> bpy.types.Object:
     for label, shift in ((names.CORNER_NEXT, -1), (names.CORNER_LAST, 1)):
         indices: Any = mesh.attributes.new(label, "INT", "CORNER")
         indices.data.foreach_set("value", np.roll(faces, shift, axis=1).ravel().astype(np.int32))
-    coefficients = ring_coefficients(verts, faces).reshape(-1, 3, 3)
+    rings = rest_rings(verts, faces, edges_only=edges_only)
+    shares: Any = mesh.attributes.new(names.RING_SHARE, "FLOAT", "CORNER")
+    shares.data.foreach_set("value", rings.shares.ravel().astype(np.float32))
+    coefficients = rings.coefficients.reshape(-1, 3, 3)
     for k, label in enumerate(names.MAP_COEFFICIENTS):
         values = np.ascontiguousarray(coefficients[:, k], dtype=np.float32).ravel()
         rows: Any = mesh.attributes.new(label, "FLOAT_VECTOR", "CORNER")
         rows.data.foreach_set("vector", values)
     helper = bpy.data.objects.new(mesh.name, mesh)
     helper[names.ANCHOR_MARK] = True
+    helper[names.EDGES_ONLY] = edges_only
     hide_helper(helper)
     return helper

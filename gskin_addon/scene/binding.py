@@ -47,8 +47,7 @@ def follow(
     if modifier is None:
         new: Any = obj.modifiers.new(names.ARMATURE_MODIFIER, "ARMATURE")
         modifier = new
-        # Edit Mode selects on the posed figure.
-        modifier.show_in_editmode = modifier.show_on_cage = True
+        show_posed_in_edit_mode(modifier)
         # Behind whatever deforms the rest shape, before anything that draws.
         display = find_display(obj)
         if display is not None:
@@ -58,6 +57,11 @@ def follow(
     # Dual quaternions would move the points in another way than Eq. 1.
     modifier.use_deform_preserve_volume = False
     return modifier
+
+
+def show_posed_in_edit_mode(modifier: bpy.types.ArmatureModifier) -> None:
+    """Edit Mode selects on the posed figure."""
+    modifier.show_in_editmode = modifier.show_on_cage = True
 
 
 def set_parent(obj: bpy.types.Object, armature: bpy.types.Object, *, keep_parent: bool = False) -> None:

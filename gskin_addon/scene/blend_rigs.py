@@ -13,6 +13,7 @@ import mathutils
 from ..core.errors import InputError
 from .actions import drop_foreign
 from .dependencies import bone_shapes, needed_objects
+from .frames import frame_of, go_to
 from .helpers import is_helper
 
 _DRAWN = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
@@ -21,8 +22,10 @@ _DRAWN = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
 Choose = Callable[[list[bpy.types.Object]], bpy.types.Object]
 
 
-def append_rig(path: Path, choose: Choose) -> bpy.types.Object:
+def append_rig(path: Path, choose: Choose, notes: list[str] | None = None) -> bpy.types.Object:
     """Append the armature that `choose` takes from those of a .blend file, and what moves it; nothing else stays.
+
+    `notes` gets sentences about actions that are left out because they may be another armature's as well.
 
     All of it is local afterwards and in the scene, which gets the file's frame, frame range and rate. Raises OSError,
     RuntimeError or ValueError where the file cannot be read, InputError as `choose` does and where a library is
@@ -47,7 +50,9 @@ def append_rig(path: Path, choose: Choose) -> bpy.types.Object:
         _realize(instance, needed)
         needed = needed_objects(armature)
     _take_over_scene(armature if instance is None else instance, scenes)
-    drop_foreign([action for action in target.actions if action is not None], needed)
+    doubts = drop_foreign([action for action in target.actions if action is not None], needed)
+    if notes is not None:
+        notes += doubts
     for action in bpy.data.actions:
         action.use_fake_user = True
     keep_only(needed, [obj for obj in bpy.data.objects if obj not in before])
@@ -86,6 +91,15 @@ def own_rig(armature: bpy.types.Object) -> bpy.types.Object:
     return armature
 
 
+def check_whole(armature: bpy.types.Object) -> None:
+    """Raises InputError where the armature, or something that moves it, is linked from a file that is missing.
+
+    Blender puts empty objects at the origin in the place of what it does not find.
+    """
+    for ident in _idents(armature):
+        _check_there(ident)
+
+
 def make_local(armature: bpy.types.Object) -> bpy.types.Object:
     """Make an armature and all that moves it the file's own, no matter whether it was linked or overridden.
 
@@ -104,9 +118,7 @@ def _local(ident: Any, copies: dict[Any, Any]) -> Any:
     """The local version of a datablock, which all local users get; one for each, however often it is met."""
     if not _is_foreign(ident):
         return ident
-    if getattr(ident, "is_missing", False):
-        path = ident.library.filepath if ident.library is not None else "?"
-        raise InputError(f"'{ident.name}' is linked from '{path}', which is missing; put that file back.")
+    _check_there(ident)
     local = copies.get(ident)
     if local is None:
         # What only linked data uses stays linked: then a copy is needed.
@@ -119,6 +131,12 @@ def _local(ident: Any, copies: dict[Any, Any]) -> Any:
         copies[ident] = local
         ident.user_remap(local)
     return local
+
+
+def _check_there(ident: Any) -> None:
+    if getattr(ident, "is_missing", False):
+        path = ident.library.filepath if ident.library is not None else "?"
+        raise InputError(f"'{ident.name}' is linked from '{path}', which is missing; put that file back.")
 
 
 def _is_foreign(ident: Any) -> bool:
@@ -199,8 +217,8 @@ def _take_over_scene(obj: bpy.types.Object, scenes: list[bpy.types.Scene]) -> No
     for name, value in there.items():
         if name not in here and isinstance(value, (bool, int, float, str)):
             here[name] = value
-    frame, part = there.frame_current, there.frame_subframe
+    frame = frame_of(there)
     for scene in scenes:
         scene.user_remap(here)
         bpy.data.scenes.remove(scene)
-    here.frame_set(frame, subframe=part)
+    go_to(here, frame)

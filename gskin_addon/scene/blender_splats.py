@@ -20,6 +20,7 @@ from ..core.splats.cloud import MAX_SH_DEGREE, SplatCloud
 from . import names
 from .attributes import ObjectData, read_attribute, read_positions
 from .node_groups import add_display
+from .render import prepare_scene
 from .splat_object import is_splat_object, refuse_edit_mode, replace_cloud
 
 _OWN = ("position", names.ROTATION, names.SCALE, names.BASE)
@@ -60,6 +61,7 @@ def make_riggable(context: bpy.types.Context, obj: bpy.types.Object) -> bpy.type
         mesh.attributes.remove(mesh.attributes[_attribute_of(mesh, column)])
     replace_cloud(obj, cloud)
     add_display(obj)
+    prepare_scene(context.scene)
     return obj
 
 

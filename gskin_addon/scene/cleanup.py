@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..core.splats.cleanup import clamp_aspect, find_faint_giants, find_needles, find_strays, isotropic
 from .attributes import ObjectData
+from .selecting import enter_edit_mode
 from .splat_object import read_cloud, refuse_edit_mode, replace_cloud
 
 Mask = NDArray[np.bool_]
@@ -33,13 +34,6 @@ def find_bad_splats(
     return bad, counts
 
 
-def select_splats(obj: bpy.types.Object, mask: Mask) -> None:
-    """Select exactly the splats of `mask` (N,), as Edit Mode will show them."""
-    refuse_edit_mode(obj)
-    obj.data.vertices.foreach_set("select", mask)
-    obj.data.update()
-
-
 def begin_selecting(context: bpy.types.Context, obj: bpy.types.Object) -> None:
     """Make `obj` active and leave Edit Mode, where its splats can neither be read nor selected."""
     context.view_layer.objects.active = obj
@@ -49,9 +43,8 @@ def begin_selecting(context: bpy.types.Context, obj: bpy.types.Object) -> None:
 
 def show_selected(context: bpy.types.Context, obj: bpy.types.Object, mask: Mask) -> None:
     """Select exactly the splats of `mask` (N,) of the active object and enter Edit Mode on its points."""
-    select_splats(obj, mask)
-    context.tool_settings.mesh_select_mode = (True, False, False)
-    bpy.ops.object.mode_set(mode="EDIT")
+    refuse_edit_mode(obj)
+    enter_edit_mode(context, obj, mask)
 
 
 def put_aside(obj: bpy.types.Object, mask: Mask) -> bpy.types.Object:

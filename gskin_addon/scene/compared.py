@@ -26,7 +26,7 @@ from .bone_frames import armature_of, bone_order
 from .influences import columns_of, slice_rows, strongest, write_influences
 from .splat_object import refuse_edit_mode
 from .steps import Steps, run_to_end, slices
-from .vertex_groups import GroupsAside, read_pairs
+from .vertex_groups import GroupsAside, group_state, read_pairs, restore_group_state
 
 Side = Literal["before", "result"]
 Array = NDArray[Any]
@@ -96,14 +96,11 @@ def show_side(obj: bpy.types.Object, side: Side) -> None:
         )
     index = np.array([place.get(name, 0) for name in kept_bones], dtype=np.int32)[index]
     shown = run_to_end(iter_shown(obj, deform))
-    locked = [group.name for group in obj.vertex_groups if group.lock_weight]
-    active = obj.vertex_groups.active.name if obj.vertex_groups.active is not None else ""
+    state = group_state(obj)
     with GroupsAside(obj) as groups:
         run_to_end(groups.write(deform, columns_of(index, value)))
         obj = groups.commit()
-    for group in obj.vertex_groups:
-        group.lock_weight = group.name in locked
-    obj.vertex_groups.active_index = max(0, obj.vertex_groups.find(active))
+    restore_group_state(obj, state)
     _turn_by(obj, armature, deform, index, value)
     _write_kept(obj.data, shown.index, shown.value)
     obj.data[names.COMPARED] = {"name": now[0], "shown": side, "bones": deform}

@@ -17,13 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
+from ..core.rig.covariance import transform_gaussians
+from ..core.rig.stretch import polar
 from . import names
-from .attributes import ObjectData, read_positions, write_positions
+from .attributes import ObjectData, read_attribute, read_positions, write_positions
+from .transforms import world_similarity
 
 Array = NDArray[Any]
 
 STEP = 1e-3
 """Displacement of finite differences, as a part of the splats' extent: 32-bit coordinates leave 1e-4 of the map."""
+
+NO_BENDS = "glTF has no bendy bones"
+"""How the sentence about them begins."""
 
 _OURS = (names.ROTATION_MODIFIER, names.DISPLAY_MODIFIER, names.ANCHOR_MODIFIER)
 
@@ -41,7 +47,18 @@ def beyond_linear_blending(obj: bpy.types.Object) -> list[str]:
     Bendy, scaled and mirrored bones are no reason.
     """
     volume = [f"'{m.name}' preserves volume" for m in deforming_modifiers(obj) if _preserves_volume(m)]
-    return volume + not_in_the_viewport(obj)
+    keys = ["shape keys move them"] if _has_moving_keys(obj) else []
+    return keys + volume + not_in_the_viewport(obj)
+
+
+def _has_moving_keys(obj: bpy.types.Object) -> bool:
+    """Whether shape keys move the points now."""
+    keys: Any = getattr(obj.data, "shape_keys", None)
+    if keys is None or len(keys.key_blocks) < 2:
+        return False
+    if obj.show_only_shape_key or not keys.use_relative:
+        return True
+    return any(key.value and not key.mute for key in keys.key_blocks if key != keys.reference_key)
 
 
 def not_in_the_viewport(obj: bpy.types.Object) -> list[str]:
@@ -75,6 +92,22 @@ def not_in_the_viewport(obj: bpy.types.Object) -> list[str]:
     return found
 
 
+def shown_wrongly(obj: bpy.types.Object) -> list[str]:
+    """Sentences about what Blender's 3D view and its own engines do not show of how the splats turn."""
+    found = []
+    try:
+        world_similarity(obj)
+    except InputError as error:
+        found.append(f"Blender moves the splats, and turns and sizes them wrongly: {error.plain}")
+    reasons = not_in_the_viewport(obj)
+    if reasons:
+        found.append(
+            f"Blender's 3D view turns the splats of '{obj.name}' by vertex groups alone, but {'; '.join(reasons)}. "
+            "Right are Render Splats, gskin render and the splats that gskin pose writes."
+        )
+    return found
+
+
 def bendy_bones(obj: bpy.types.Object) -> list[str]:
     """Names of the bones with segments that move the splats by a vertex group."""
     groups = {group.name for group in obj.vertex_groups}
@@ -83,14 +116,17 @@ def bendy_bones(obj: bpy.types.Object) -> list[str]:
     return [bone.name for bone in bones if bone.use_deform and bone.bbone_segments > 1 and bone.name in groups]
 
 
-def lost_in_gltf(obj: bpy.types.Object) -> list[str]:
-    """Sentences about what moves the splats here, and has no word in glTF."""
+def lost_in_gltf(obj: bpy.types.Object, *, segments: bool = False) -> list[str]:
+    """Sentences about what moves the splats here, and has no word in glTF.
+
+    segments: those of bendy bones are joints in the file (`gltf_bends.py`).
+    """
     found = []
-    bendy = bendy_bones(obj)
+    bendy = [] if segments else bendy_bones(obj)
     if bendy:
         named = ", ".join(f"'{name}'" for name in bendy[:3]) + (", ..." if len(bendy) > 3 else "")
         found.append(
-            f"glTF has no bendy bones: {len(bendy)} that move '{obj.name}' ({named}) are without segments in it, and "
+            f"{NO_BENDS}: {len(bendy)} that move '{obj.name}' ({named}) are without segments in it, and "
             "what bends along them is straight."
         )
     reasons = beyond_linear_blending(obj)
@@ -110,10 +146,10 @@ def measured_deform(obj: bpy.types.Object) -> tuple[Array, Array]:
 
     By central differences: seven evaluations. Raises InputError where a modifier changes the number of points.
     """
-    points = read_positions(obj.data).astype(np.float64)
-    step = STEP * float(np.ptp(points, axis=0).max()) or STEP
-    maps = np.empty((len(points), 3, 3))
     with _deformed_copy(obj) as copy:
+        points = read_positions(copy.data).astype(np.float64)
+        step = STEP * float(np.ptp(points, axis=0).max()) or STEP
+        maps = np.empty((len(points), 3, 3))
         moved = _evaluated(copy, points)
         for axis, offset in enumerate(np.eye(3) * step):
             # The differences of what 32 bits make of the displaced points.
@@ -123,6 +159,19 @@ def measured_deform(obj: bpy.types.Object) -> tuple[Array, Array]:
     return moved, maps
 
 
+def measured_splats(obj: bpy.types.Object) -> tuple[Array, Array, Array, Array]:
+    """Points (N, 3), rotations (N, 4), scales (N, 3) and turns (N, 4) of the splats, as `measured_deform` has them.
+
+    float32, in the object's space.
+    """
+    moved, maps = measured_deform(obj)
+    rotation, scale = (read_attribute(obj.data, name) for name in (names.ROTATION, names.SCALE))
+    quats, sizes = transform_gaussians(rotation, scale, maps)
+    turn = polar(maps)[0]
+    found = [np.asarray(values, np.float32) for values in (moved, quats, sizes, turn)]
+    return found[0], found[1], found[2], found[3]
+
+
 def _is_ours(modifier: Any, groups: tuple[str, ...] = _OURS) -> bool:
     group = modifier.node_group if modifier.type == "NODES" else None
     return group is not None and group.get("gskin_group") in groups
@@ -130,7 +179,10 @@ def _is_ours(modifier: Any, groups: tuple[str, ...] = _OURS) -> bool:
 
 @contextmanager
 def _deformed_copy(obj: bpy.types.Object) -> Iterator[Any]:
-    """A copy of the object in the scene, with a mesh of its own and with the modifiers that deform it."""
+    """A copy of the object in the scene, with a mesh of its own and with the modifiers that deform it.
+
+    Shape keys, which would overrule what is written to the mesh, are applied.
+    """
     copy: Any = obj.copy()
     data: ObjectData = obj.data
     copy.data = mesh = data.copy()
@@ -144,10 +196,24 @@ def _deformed_copy(obj: bpy.types.Object) -> Iterator[Any]:
             copy.modifiers.remove(modifier)
         copy.hide_viewport = False
         bpy.context.scene.collection.objects.link(copy)
+        if getattr(mesh, "shape_keys", None) is not None:
+            _apply_keys(copy)
         yield copy
     finally:
         bpy.data.objects.remove(copy)
         bpy.data.meshes.remove(mesh)
+
+
+def _apply_keys(copy: Any) -> None:
+    switched = [modifier for modifier in copy.modifiers if modifier.show_viewport]
+    for modifier in switched:
+        modifier.show_viewport = False
+    bpy.context.view_layer.update()
+    mixed = read_positions(copy.evaluated_get(bpy.context.evaluated_depsgraph_get()).data)
+    copy.shape_key_clear()
+    write_positions(copy.data, mixed)
+    for modifier in switched:
+        modifier.show_viewport = True
 
 
 def _evaluated(copy: Any, points: Array) -> Array:

@@ -26,7 +26,7 @@ def needed_objects(obj: bpy.types.Object) -> list[bpy.types.Object]:
 
 def bone_shapes(objects: list[bpy.types.Object]) -> set[bpy.types.Object]:
     """The objects that bones of the armatures among `objects` are drawn as."""
-    bones = [bone for obj in objects if obj.type == "ARMATURE" for bone in obj.pose.bones]
+    bones = [bone for obj in objects if obj.type == "ARMATURE" and obj.pose is not None for bone in obj.pose.bones]
     return {bone.custom_shape for bone in bones if bone.custom_shape is not None}
 
 
@@ -93,7 +93,7 @@ def _direct(ident: bpy.types.ID) -> Iterator[bpy.types.ID]:
     yield from _in_custom_properties(ident)
     for struct in [*ident.constraints, *ident.modifiers]:
         yield from pointed_objects(struct)
-    if ident.type == "ARMATURE":
+    if ident.type == "ARMATURE" and ident.pose is not None:
         for bone in ident.pose.bones:
             yield from _in_custom_properties(bone)
             for constraint in bone.constraints:

@@ -3,53 +3,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
+
+import bpy
 
 from ..core.splats.cloud import SH_C0
 from . import names
-from .node_builder import Tree
+from .node_builder import Input, Tree, function_group
+from .sampled import Sampled
+from .seen_color import seen_color
 
 SHOW_BONES = "Show Bones"
 SHOW_CONFIDENCE = "Show Confidence"
 SHOW_WEIGHTS_OF = "Show Weights Of"
 
-Sampled = Callable[[Any, str], Any]
-"""Gives a splat attribute, by name and Blender's type, at the drawn points."""
+VERSION = 1
+"""Of the node groups inside."""
+_SHOWN_AS = {SHOW_BONES: "Bool", SHOW_CONFIDENCE: "Bool", SHOW_WEIGHTS_OF: "String"}
 
 
-def splat_color(
-    tree: Tree,
-    sampled: Sampled,
-    show_bones: Any,
-    show_confidence: Any,
-    show_weights_of: Any,
-    *,
-    seen: Callable[[Any], Any] | None = None,
-) -> Any:
-    """Field of linear colour and opacity of the drawn points; seen: see `splat_srgb`."""
-    srgb, _ = splat_srgb(tree, sampled, show_bones, show_confidence, show_weights_of, seen=seen)
+def splat_color(tree: Tree, sampled: Sampled, shown_as: dict[str, Any], *, seen: bool = False) -> Any:
+    """Field of linear colour and opacity of the drawn points; see `splat_srgb`."""
+    srgb, _ = splat_srgb(tree, sampled, shown_as, seen=seen)
     base = sampled(names.BASE, "FLOAT_COLOR")
-    return _linear(tree, srgb, tree.output(tree.node("FunctionNodeSeparateColor", {"Color": base}), "Alpha"))
+    alpha = tree.output(tree.node("FunctionNodeSeparateColor", {"Color": base}), "Alpha")
+    return tree.call(linear_group(), {"Color": srgb, "Alpha": alpha})["Color"]
 
 
-def splat_srgb(
-    tree: Tree,
-    sampled: Sampled,
-    show_bones: Any,
-    show_confidence: Any,
-    show_weights_of: Any,
-    *,
-    seen: Callable[[Any], Any] | None = None,
-) -> tuple[Any, Any]:
+def splat_srgb(tree: Tree, sampled: Sampled, shown_as: dict[str, Any], *, seen: bool = False) -> tuple[Any, Any]:
     """Field of sRGB colour as a vector, and whether it is another than the captured one (a single boolean).
 
-    The switches are single values, so only the chosen colours are computed. seen: gives the captured colours from the
-    constant coefficients, where the harmonics beyond shall count (`seen_color.py`).
+    shown_as: single values of `SHOW_BONES`, `SHOW_CONFIDENCE` and `SHOW_WEIGHTS_OF`, so only the chosen colours are
+    computed. seen: captured colours are those that the camera sees (`seen_color.py`), not the constant ones alone.
     """
-    base = sampled(names.BASE, "FLOAT_COLOR")
-    captured = _captured(tree, base) if seen is None else seen(base)
-    inputs = {"Switch": show_bones, "False": captured, "True": _by_bones(tree, sampled)}
+    captured = seen_color(tree, sampled) if seen else _captured(tree, sampled(names.BASE, "FLOAT_COLOR"))
+    made = tree.call(shown_group(), {**sampled.given, "Captured": captured, **shown_as})
+    return made["Color"], made["Special"]
+
+
+def shown_group() -> bpy.types.NodeTree:
+    """The node group that chooses between captured and explaining colours."""
+    kinds = {**Sampled.SOCKETS, "Captured": "Vector", **_SHOWN_AS}
+    return function_group("GSkin Shown Color", VERSION, kinds, {"Color": "Vector", "Special": "Bool"}, _shown)
+
+
+def _shown(tree: Tree, given: Input) -> dict[str, Any]:
+    sampled = Sampled.within(tree, given)
+    show_bones, show_confidence, show_weights_of = (given(label) for label in _SHOWN_AS)
+    by_bones = tree.call(by_bones_group(), sampled.given)["Color"]
+    inputs = {"Switch": show_bones, "False": given("Captured"), "True": by_bones}
     srgb = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="VECTOR")
     # One more switch of colours would cost every frame; what is shown as heat is chosen by its name instead.
     inputs = {"Switch": show_confidence, "False": show_weights_of, "True": names.CONFIDENCE}
@@ -61,7 +63,8 @@ def splat_srgb(
     heat = tree.math("ABSOLUTE", tree.math("SUBTRACT", sampled(heat_of, "FLOAT"), show_confidence))
     inputs = {"Switch": named, "False": srgb, "True": _heat(tree, heat)}
     srgb = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="VECTOR")
-    return srgb, tree.out("FunctionNodeBooleanMath", "Boolean", {0: named, 1: show_bones}, operation="OR")
+    special = tree.out("FunctionNodeBooleanMath", "Boolean", {0: named, 1: show_bones}, operation="OR")
+    return {"Color": srgb, "Special": special}
 
 
 def _captured(tree: Tree, base: Any) -> Any:
@@ -70,8 +73,13 @@ def _captured(tree: Tree, base: Any) -> Any:
     return tree.vector("MINIMUM", tree.vector("MAXIMUM", srgb, (0.0,) * 3), (1.0,) * 3)
 
 
-def _by_bones(tree: Tree, sampled: Sampled) -> Any:
-    """The palette of `core.rig.colors`, mixed by the stored weights; splats without a bone are black."""
+def by_bones_group() -> bpy.types.NodeTree:
+    """The node group of the palette of `core.rig.colors`, mixed by the stored weights; without a bone black."""
+    return function_group("GSkin Bone Color", VERSION, Sampled.SOCKETS, {"Color": "Vector"}, _by_bones)
+
+
+def _by_bones(tree: Tree, given: Input) -> dict[str, Any]:
+    sampled = Sampled.within(tree, given)
     total: Any = (0.0, 0.0, 0.0)
     for slot in range(names.INFLUENCES):
         bone = sampled(names.BONE.format(slot), "INT")
@@ -88,7 +96,7 @@ def _by_bones(tree: Tree, sampled: Sampled) -> Any:
         }
         color = tree.out("FunctionNodeCombineColor", "Color", channels, mode="HSV")
         total = tree.vector("ADD", total, tree.scale(color, weight))
-    return total
+    return {"Color": total}
 
 
 def _heat(tree: Tree, weight: Any) -> Any:
@@ -98,14 +106,19 @@ def _heat(tree: Tree, weight: Any) -> Any:
     return tree.out("FunctionNodeCombineColor", "Color", {0: hue, 1: 1.0, 2: 1.0}, mode="HSV")
 
 
-def _linear(tree: Tree, srgb: Any, alpha: Any) -> Any:
-    """sRGB decoded to Blender's linear colours, with alpha."""
-    parts = tree.node("ShaderNodeSeparateXYZ", {"Vector": srgb})
-    channels = {"Alpha": alpha}
+def linear_group() -> bpy.types.NodeTree:
+    """The node group that decodes sRGB, a vector, to Blender's linear colours, with alpha."""
+    kinds = {"Color": "Vector", "Alpha": "Float"}
+    return function_group("GSkin Linear Color", VERSION, kinds, {"Color": "Color"}, _linear)
+
+
+def _linear(tree: Tree, given: Input) -> dict[str, Any]:
+    parts = tree.node("ShaderNodeSeparateXYZ", {"Vector": given("Color")})
+    channels = {"Alpha": given("Alpha")}
     for name, axis in (("Red", "X"), ("Green", "Y"), ("Blue", "Z")):
         value = tree.output(parts, axis)
         power = tree.math("POWER", tree.math("MULTIPLY_ADD", value, 1 / 1.055, 0.055 / 1.055), 2.4)
         dark = tree.math("LESS_THAN", value, 0.04045)
         straight = tree.math("SUBTRACT", tree.math("DIVIDE", value, 12.92), power)
         channels[name] = tree.math("MULTIPLY_ADD", dark, straight, power)
-    return tree.out("FunctionNodeCombineColor", "Color", channels)
+    return {"Color": tree.out("FunctionNodeCombineColor", "Color", channels)}

@@ -15,6 +15,7 @@ from ..core.render.drawn_splats import DrawnSplats
 from ..core.rig.quaternion import quat_multiply
 from . import names
 from .attributes import read_attribute, read_positions
+from .deform_stack import measured_splats, not_in_the_viewport
 from .node_groups import find_display
 from .splat_object import is_splat_object
 
@@ -64,14 +65,19 @@ def read_drawn(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> DrawnSp
     sh[:, 0] = base[:, :3]
     for index in range(whole - 1):
         sh[:, index + 1] = bands[index]
+    points, turns = read_positions(mesh), _turns(obj, mesh, rotation) if whole > 1 else None
+    matrix = np.array(obj.evaluated_get(depsgraph).matrix_world, np.float64)
+    if not_in_the_viewport(obj):
+        # The nodes know nothing of what else the modifiers do around a splat. Evaluates anew: what was read is copied.
+        points, rotation, scale, turns = measured_splats(obj)
     return DrawnSplats(
-        points=read_positions(mesh),
+        points=points,
         rotations=rotation,
         scales=np.maximum(scale, 0.0),
         opacities=np.clip(base[:, 3], 0.0, 1.0),
         sh=sh,
-        turns=_turns(obj, mesh, rotation) if whole > 1 else None,
-        matrix=np.array(obj.evaluated_get(depsgraph).matrix_world, np.float64),
+        turns=turns if whole > 1 else None,
+        matrix=matrix,
     )
 
 

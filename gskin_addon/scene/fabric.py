@@ -7,6 +7,7 @@ what is exported goes without it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import bmesh
@@ -15,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.skinning.edits.separate import FAR, steps_between
-from ..core.skinning.fabric import fabric_triangles
-from .armature import read_skeleton
+from ..core.skinning.fabric import Fabric, fabric_triangles
+from ..core.skinning.walls import blocked
+from .armature import deform_bone_names, read_skeleton
 from .attributes import ObjectData
 from .bone_frames import armature_of
 from .influences import strongest_bone
@@ -27,6 +29,9 @@ from .steps import Steps, in_thread
 from .vertex_groups import leave_paint_mode, set_mode
 
 Array = NDArray[Any]
+
+_EDGE, _CORNER, _SIDE = ".edge_verts", ".corner_vert", ".corner_edge"
+"""Attributes in which Blender keeps the edges' points, and of each corner of a face the point and the edge."""
 
 _aside: list[tuple[int, str, int, int]] = []
 """Session id and name of objects whose fabric is laid aside, with those of the meshes with and without it."""
@@ -44,16 +49,16 @@ def iter_make_fabric(obj: bpy.types.Object) -> Steps[int]:
     Raises InputError: no splats, Edit Mode, or the object was changed meanwhile.
     """
     ref = ObjectRef(obj)
-    triangles = yield from iter_triangles(obj, strongest_bone(obj), armature_of(obj))
+    fabric = yield from iter_fabric(obj, strongest_bone(obj), armature_of(obj))
     obj = ref.find()
-    lay_under(obj, triangles)
-    return len(triangles)
+    lay_under(obj, fabric)
+    return len(fabric.triangles)
 
 
-def iter_triangles(
+def iter_fabric(
     obj: bpy.types.Object, bone: Array | None, armature: bpy.types.Object | None
-) -> Steps[Array]:
-    """Triangles (T, 3) of a fabric for the splats of `obj`, made in a thread.
+) -> Steps[Fabric]:
+    """A fabric for the splats of `obj`, made in a thread.
 
     Splats are not joined over seams, nor where the bones of `armature` that move them most, bone (N,) with -1 for none,
     are far apart in the skeleton. Raises InputError as `read_cloud`.
@@ -65,26 +70,51 @@ def iter_triangles(
         far = np.zeros((len(parents) + 1, len(parents) + 1), np.bool_)
         far[:-1, :-1] = steps_between(parents) >= FAR
         apart = bone, far
-    return (yield from in_thread(lambda: fabric_triangles(cloud, walls=walls, apart=apart)))
+    return (yield from in_thread(lambda: Fabric.of(fabric_triangles(cloud, walls=walls, apart=apart))))
 
 
-def lay_under(obj: bpy.types.Object, triangles: Array) -> None:
-    """Give the splats the fabric `triangles` (T, 3) in place of an older one. Raises InputError in Edit Mode."""
+def strongest_of(weights: Array, bones: Sequence[str], armature: bpy.types.Object) -> Array:
+    """(N,) the deform bone of `armature`, by number, with the most of weights (N, B) of `bones`; -1 for none."""
+    place = {name: number for number, name in enumerate(deform_bone_names(armature))}
+    number = np.array([place.get(name, -1) for name in bones])
+    strongest = weights.argmax(axis=1)
+    return np.where(weights[np.arange(len(weights)), strongest] > 0, number[strongest], -1)
+
+
+def lay_under(obj: bpy.types.Object, fabric: Fabric) -> None:
+    """Give the splats a fabric in place of an older one. Raises InputError in Edit Mode."""
     refuse_edit_mode(obj)
     mode = leave_paint_mode(obj)
     strip_fabric(obj.data)
-    _add_triangles(obj.data, triangles)
+    _add(obj.data, fabric)
     if mode != "OBJECT":
         set_mode(obj, mode)
+
+
+def cut_fabric(obj: bpy.types.Object, labels: Array) -> None:
+    """Take away what of the fabric lies over walls; labels (N,), see `walls`. Raises InputError in Edit Mode."""
+    if not has_fabric(obj):
+        return
+    edges, triangles, sides = _read(obj.data, _EDGE, 2), _read(obj.data, _CORNER, 3), _read(obj.data, _SIDE, 3)
+    stay = ~blocked(labels[edges[:, 0]], labels[edges[:, 1]])
+    whole = stay[sides].all(axis=1)
+    number = np.cumsum(stay) - 1
+    lay_under(obj, Fabric(triangles[whole], edges[stay], number[sides[whole]]))
 
 
 def strip_fabric(mesh: ObjectData) -> None:
     """Take edges and triangles away from a mesh of splats; its points and all that they carry stay."""
     if not len(mesh.polygons) and not len(mesh.edges):
         return
+    # Edges and triangles with equal ends are none: of all that removes some and leaves the points as they are, this
+    # is by far the quickest.
+    for name, size in ((_CORNER, len(mesh.loops)), (_EDGE, 2 * len(mesh.edges))):
+        if size:
+            mesh.attributes[name].data.foreach_set("value", np.zeros(size, np.int32))
+    mesh.validate(clean_customdata=False)
+    # The layers of corners and edges that this leaves have no memory, and Blender crashes where some are added again.
     work = bmesh.new()
     work.from_mesh(mesh)
-    bmesh.ops.delete(work, geom=work.edges[:], context="EDGES_FACES")
     work.to_mesh(mesh)
     work.free()
     mesh.update()
@@ -113,10 +143,23 @@ def bring_fabrics_back() -> None:
             bpy.data.meshes.remove(meshes[bare])
 
 
-def _add_triangles(mesh: ObjectData, triangles: Array) -> None:
-    count = len(triangles)
+def _read(mesh: ObjectData, name: str, width: int) -> Array:
+    """(K, width) int32: one of the attributes above."""
+    values = mesh.attributes[name].data
+    flat = np.empty(len(values) * (2 if name == _EDGE else 1), np.int32)
+    values.foreach_get("value", flat)
+    return flat.reshape(-1, width)
+
+
+def _add(mesh: ObjectData, fabric: Fabric) -> None:
+    """Blender need not look for the edges, and takes whole arrays where they are attributes."""
+    count = len(fabric.triangles)
+    if not count:
+        return
+    mesh.edges.add(len(fabric.edges))
     mesh.loops.add(3 * count)
     mesh.polygons.add(count)
-    mesh.loops.foreach_set("vertex_index", np.ascontiguousarray(triangles, np.int32).ravel())
+    for name, values in ((_EDGE, fabric.edges), (_CORNER, fabric.triangles), (_SIDE, fabric.sides)):
+        mesh.attributes[name].data.foreach_set("value", np.ascontiguousarray(values, np.int32).ravel())
     mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
-    mesh.update(calc_edges=True)
+    mesh.update()

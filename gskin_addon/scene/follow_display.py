@@ -9,8 +9,9 @@ from __future__ import annotations
 import bpy
 from bpy.app.handlers import persistent
 
+from .display_inputs import OCTAHEDRA
 from .node_builder import get_input, has_input
-from .node_groups import OCTAHEDRA, find_display, match_octahedra
+from .node_groups import find_display, match_octahedra
 from .splat_object import is_splat_object
 
 CLASSES = ()

@@ -10,7 +10,7 @@ from . import names
 from .node_algebra import parts, polar_rotation, vector
 from .node_builder import Input, Tree, function_group
 
-VERSION = 1
+VERSION = 2
 """Of the node groups."""
 
 
@@ -94,6 +94,8 @@ def _bone_points(tree: Tree, given: Input) -> dict[str, Any]:
         (names.TURN, "QUATERNION", turn),
         (names.FRAME_MAP, "FLOAT4X4", matrix),
         (names.FRAME_INVERSE, "FLOAT4X4", inverse),
+        (names.FRAME_LOCAL, "FLOAT4X4", tree.out("FunctionNodeMatrixMultiply", "Matrix", {0: matrix, 1: inverse})),
+        (names.FRAME_ODD, "FLOAT", tree.math("MAXIMUM", parts(tree, stretch)[1], mirrored)),
         (names.FRAME_STRETCH, "FLOAT_VECTOR", stretch),
         (names.FRAME_BEND, "FLOAT_VECTOR", bend),
     ):
@@ -158,10 +160,11 @@ def direction(tree: Tree, way: Any, matrix: Any) -> Any:
     return tree.out("FunctionNodeTransformDirection", "Direction", inputs)
 
 
-def largest(tree: Tree, points: Any, value: Any) -> Any:
-    """The largest value of a field of floats over points, as a single value."""
+def bounds(tree: Tree, points: Any, value: Any) -> tuple[Any, Any]:
+    """The smallest and the largest value of a field of floats over points, as single values."""
     inputs = {"Geometry": points, "Attribute": value}
-    return tree.out("GeometryNodeAttributeStatistic", "Max", inputs, data_type="FLOAT", domain="POINT")
+    node = tree.node("GeometryNodeAttributeStatistic", inputs, data_type="FLOAT", domain="POINT")
+    return tree.output(node, "Min"), tree.output(node, "Max")
 
 
 def matrix_of(tree: Tree, columns: list[Any], last_row: list[Any] | None = None) -> Any:

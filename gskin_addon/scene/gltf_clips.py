@@ -8,8 +8,9 @@ from contextlib import contextmanager
 from typing import Any
 
 import bpy
+import mathutils
 
-from .actions import Part, assign, belongs, own_parts, parts_of
+from .actions import Part, assign, belongs, is_own, own_parts, parts_of
 from .dependencies import is_animated, needed_objects
 
 _companions: dict[bpy.types.Object, list[bpy.types.Object]] = {}
@@ -28,6 +29,7 @@ def clips_of(armatures: Sequence[bpy.types.Object], *, posed: bool, animations: 
     own = {armature: own_parts(armature) for armature in armatures}
     moved = {armature: [obj for obj in needed_objects(armature) if obj != armature] for armature in armatures}
     kept = [_Kept(obj) for obj in dict.fromkeys(obj for objects in moved.values() for obj in objects)]
+    poses = [(bone, bone.matrix_basis.copy()) for armature in armatures for bone in armature.pose.bones]
     bake = animations and any(not own[armature] and is_animated([armature, *moved[armature]]) for armature in armatures)
     try:
         for armature in armatures:
@@ -39,11 +41,19 @@ def clips_of(armatures: Sequence[bpy.types.Object], *, posed: bool, animations: 
         _companions.update(moved)
         bpy.context.view_layer.update()
         no_clips = not animations or not (bake or any(own.values()))
-        yield {"export_rest_position_armature": not (posed or no_clips), "export_bake_animation": bake}
+        stands = posed or no_clips
+        # At frame 0, where the exporter goes otherwise, what is animated stands elsewhere.
+        yield {
+            "export_rest_position_armature": not stands,
+            "export_current_frame": stands,
+            "export_bake_animation": bake,
+        }
     finally:
         _companions.clear()
         for data, position in positions:
             data.pose_position = position
+        for bone, matrix in poses:
+            bone.matrix_basis = matrix  # the exporter puts bones to rest before a clip, and leaves them there
         for each in kept:
             each.put_back()
         if stand_in is not None:
@@ -55,7 +65,7 @@ def keep_own(obj: bpy.types.Object, gathered: Any) -> None:
     if isinstance(gathered.actions if hasattr(gathered, "actions") else None, dict):
         for action_key, datas in list(gathered.actions.items()):
             for data in datas:
-                data.slots = [slot for slot in data.slots if belongs(Part(data.action, slot.slot), obj)]
+                data.slots = [slot for slot in data.slots if is_own(Part(data.action, slot.slot), obj)]
             left = [data for data in datas if data.slots]
             if not left:
                 del gathered.actions[action_key]
@@ -64,7 +74,17 @@ def keep_own(obj: bpy.types.Object, gathered: Any) -> None:
             if len(left) == 1:
                 left[0].name = left[0].action.name  # it was told from others' clips of the same action
     else:  # before Blender 4.4
-        gathered.blender_actions = [action for action in gathered.blender_actions if belongs(Part(action), obj)]
+        gathered.blender_actions = [action for action in gathered.blender_actions if is_own(Part(action), obj)]
+
+
+def rest_before_clips(obj: bpy.types.Object) -> None:
+    """Before the clips of an armature are sampled: bones that a clip does not key are at rest in it.
+
+    The exporter sees to that itself, but not for the action that is active already.
+    """
+    if obj in _companions:
+        for bone in obj.pose.bones:
+            bone.matrix_basis = mathutils.Matrix()
 
 
 def play_companions(obj: bpy.types.Object, action: bpy.types.Action) -> None:

@@ -23,10 +23,15 @@ from ..core.files import replaced
 from ..core.splats import gltf
 from ..core.splats.axes import rotate_cloud
 from ..core.splats.cloud import SplatCloud
+from .actions import left_to_guess, own_parts
 from .bone_frames import armature_of
-from .deform_stack import lost_in_gltf
+from .clip_losses import lost_in_clips, said_of_nla
+from .deform_stack import NO_BENDS, lost_in_gltf
 from .fabric import bring_fabrics_back, lay_fabrics_aside
-from .gltf_clips import clips_of, keep_own, play_companions
+from .frames import frame_of, go_to
+from .gltf_bends import bends_as_joints, can_be_joints
+from .gltf_clips import clips_of, keep_own, play_companions, rest_before_clips
+from .gltf_shear import said_of_shear, shear_watched
 from .splat_object import is_splat_object, read_cloud
 from .visibility import shown
 
@@ -71,6 +76,11 @@ class SplatExport:
         if _moves_splats(blender_object):
             keep_own(blender_object, gathered)
 
+    def animation_switch_loop_hook(self, blender_object: Any, post: bool, export_settings: dict[str, Any]) -> None:
+        """Before, and after, all clips of an object are sampled."""
+        if not post:
+            rest_before_clips(blender_object)
+
     def pre_animation_switch_hook(self, blender_object: Any, blender_action: Any, *_: Any) -> None:
         """Before a clip is sampled."""
         play_companions(blender_object, blender_action)
@@ -104,8 +114,11 @@ class SplatExport:
             if export_settings["gltf_yup"]:
                 cloud = rotate_cloud(cloud, gltf.blender_to_gltf())
             _add_splats(gltf2_mesh, cloud)
-            for sentence in lost_in_gltf(self._object):
-                export_settings["log"].warning(sentence)
+            armature = armature_of(self._object)
+            doubts = [] if armature is None else [*left_to_guess(armature), *said_of_nla(armature)]
+            for sentence in doubts + lost_in_gltf(self._object):
+                ours = " GSkin's own export has them as joints." if sentence.startswith(NO_BENDS) else ""
+                export_settings["log"].warning(sentence + ours)
         except GSkinError as error:
             export_settings["log"].error(error.plain, popup=True)
             _failures.append(error)
@@ -141,7 +154,7 @@ def export_glb(
     if not any(is_splat_object(obj) for obj in objects):
         raise InputError(f"'{path}': there are no splats among the objects to export; choose a splat object.")
     armatures = list(dict.fromkeys(a for obj in objects if (a := armature_of(obj)) is not None))
-    frame = bpy.context.scene.frame_current
+    frame = frame_of(bpy.context.scene)
     try:
         with (
             replaced(path, ".glb") as temporary,
@@ -150,6 +163,8 @@ def export_glb(
             _discoverable(),
             nodes_hidden(),
             clips_of(armatures, posed=posed, animations=animations) as options,
+            bends_as_joints(objects) as most,
+            shear_watched(armatures) as sheared,
         ):
             _failures.clear()
             bpy.ops.export_scene.gltf(
@@ -162,7 +177,7 @@ def export_glb(
                 use_mesh_vertices=True,
                 export_skins=True,
                 export_all_influences=False,
-                export_influence_nb=4,
+                export_influence_nb=max(4, most + -most % 4),  # whole sets: it counts the last one's empty places
                 export_def_bones=deform_bones_only,
                 export_morph=False,
                 export_animations=animations,
@@ -178,9 +193,20 @@ def export_glb(
         raise GSkinError(f"'{path}': Blender's glTF exporter failed ({_last_error(error)}).") from error
     finally:
         # The exporter moves to frame 0 and stays there when it fails.
-        if bpy.context.scene.frame_current != frame:
-            bpy.context.scene.frame_set(frame)
-    return [sentence for obj in objects if is_splat_object(obj) for sentence in lost_in_gltf(obj)]
+        if frame_of(bpy.context.scene) != frame:
+            go_to(bpy.context.scene, frame)
+    clipped = [armature for armature in armatures if animations]
+    doubts = [sentence for armature in clipped for sentence in left_to_guess(armature)]
+    doubts += [s for armature in clipped if own_parts(armature) for s in lost_in_clips(armature, posed=posed)]
+    doubts += said_of_shear(sheared)
+    if most > 4:
+        doubts.append(
+            f"Segments of bendy bones are joints in '{path.name}', up to {most} for a splat (JOINTS_1); viewers that "
+            "read four show such splats a little off."
+        )
+    splats = [obj for obj in objects if is_splat_object(obj)]
+    lost = [(obj, armature_of(obj)) for obj in splats]
+    return doubts + [s for obj, rig in lost for s in lost_in_gltf(obj, segments=rig is None or can_be_joints(rig))]
 
 
 def _seen(objects: Sequence[bpy.types.Object]) -> Sequence[bpy.types.Object]:

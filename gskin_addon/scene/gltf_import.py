@@ -6,11 +6,6 @@ Blender's importer brings armature, actions, and the points with their weights; 
 
 from __future__ import annotations
 
-import json
-import struct
-import tempfile
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -42,8 +37,7 @@ def bring_rig_of(path: Path, obj: bpy.types.Object, kept: NDArray[np.int64]) -> 
     kept (N,): row of each splat among the file's. Gives the armature (None where the file has not one for all splats,
     which then stay at rest), and a clause about it. Raises InputError where Blender cannot import the file.
     """
-    with _without_skeletons(path) as readable:
-        added = import_objects(readable)
+    added = import_objects(path, skeletons=False)
     armatures = [found for found in added if found.type == "ARMATURE"]
     points = [found for found in added if found.type == "MESH" and len(found.data.vertices) > int(kept.max(initial=0))]
     points = [found for found in points if armature_modifier(found) is not None and _same_places(found, obj, kept)]
@@ -55,32 +49,9 @@ def bring_rig_of(path: Path, obj: bpy.types.Object, kept: NDArray[np.int64]) -> 
     _remove([found for found in added if found.type == "MESH"])
     if not (weights > 0).any():
         return None, "its splats have no weights"
-    write_weights(obj, armature, weights[kept], bones)
+    most = int((weights > 0).sum(axis=1).max())
+    write_weights(obj, armature, weights[kept], bones, max_influences=max(4, most))
     return armature, f"they follow its armature '{armature.name}'"
-
-
-@contextmanager
-def _without_skeletons(path: Path) -> Iterator[Path]:
-    """A copy of a .glb whose skins name no skeleton root; other files as they are.
-
-    Blender's importer takes inverse bind matrices for relative to that root, which they are not (glTF 2.0, 3.7.3.1):
-    where the armature is moved or scaled, its bones would stand elsewhere at rest.
-    """
-    data = path.read_bytes() if path.suffix.lower() == ".glb" else b""
-    size = int.from_bytes(data[12:16], "little")
-    document = read_container(path).json
-    if not data or not any("skeleton" in skin for skin in document["skins"]):
-        yield path
-        return
-    skins = [{key: value for key, value in skin.items() if key != "skeleton"} for skin in document["skins"]]
-    text = json.dumps({**document, "skins": skins}).encode()
-    text += b" " * (-len(text) % 4)
-    rest = data[20 + size :]
-    with tempfile.TemporaryDirectory(prefix="gskin-import-") as folder:
-        copy = Path(folder) / path.name
-        head = struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text), b"JSON")
-        copy.write_bytes(head + text + rest)
-        yield copy
 
 
 def _same_places(mesh: bpy.types.Object, obj: bpy.types.Object, kept: NDArray[np.int64]) -> bool:

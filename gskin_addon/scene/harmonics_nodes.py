@@ -8,13 +8,20 @@ constant, sparse K: far fewer nodes than dense matrices, and none has to be stor
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
+import bpy
 import numpy as np
 from numpy.typing import NDArray
 
 from ..core.splats.sh import sh_rotation
-from .node_builder import Tree
+from .node_builder import Input, Tree, function_group
+
+VERSION = 1
+"""Of the node groups."""
+MAX_DEGREE = 3
 
 _QUARTER = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """K: z to y."""
@@ -23,21 +30,65 @@ Band = list[Any]
 """Fields of the 2 l + 1 coefficients of a band, rgb each."""
 
 
+_ANGLES = ("Last", "Middle", "First")
+"""a, b, g."""
+
+
 def turned_bands(tree: Tree, bands: list[Band], turn: Any) -> list[Band]:
-    """The bands l = 1, 2, ... of coefficient fields, turned by the rotation field `turn`: f'(d) = f(turn^-1 d).
+    """The bands l = 1, 2, 3 of coefficient fields, turned by the rotation field `turn`: f'(d) = f(turn^-1 d).
 
     The same as `core.splats.sh.rotate_sh`, in 32 bits.
     """
-    last, middle, first = (_multiples(tree, angle, len(bands)) for angle in _zyz(tree, turn))
-    quarter = sh_rotation(_QUARTER, len(bands))
+    angles = tree.call(angles_group(), {"Turn": turn})
     turned = []
-    for band, to_y in zip(bands, quarter, strict=True):
-        values = _about_z(tree, band, first)
-        values = _times(tree, to_y.T, values)
-        values = _about_z(tree, values, middle)
-        values = _times(tree, to_y, values)
-        turned.append(_about_z(tree, values, last))
+    for degree, band in enumerate(bands, 1):
+        inputs = {label: angles[label] for label in _angle_labels(degree)}
+        inputs |= {f"C {k}": value for k, value in enumerate(band)}
+        turned.append(list(tree.call(band_group(degree), inputs).values()))
     return turned
+
+
+def harmonics_parts() -> tuple[Callable[[], object], ...]:
+    """What builds the groups that `turned_bands` uses."""
+    return (angles_group, *(partial(band_group, degree) for degree in range(1, MAX_DEGREE + 1)))
+
+
+def angles_group() -> bpy.types.NodeTree:
+    """The node group that gives cosine and sine of multiples of the three angles of a turn."""
+    values = dict.fromkeys(_angle_labels(MAX_DEGREE), "Vector")
+    return function_group("GSkin Turn Angles", VERSION, {"Turn": "Rotation"}, values, _angles)
+
+
+def band_group(degree: int) -> bpy.types.NodeTree:
+    """The node group that turns one band."""
+    coefficients = dict.fromkeys((f"C {k}" for k in range(2 * degree + 1)), "Vector")
+    kinds = {**dict.fromkeys(_angle_labels(degree), "Vector"), **coefficients}
+    build = partial(_band, degree=degree)
+    return function_group(f"GSkin Turned Band {degree}", VERSION, kinds, coefficients, build)
+
+
+def _angle_labels(degree: int) -> list[str]:
+    return [f"{wave} {m} {angle}" for angle in _ANGLES for m in range(1, degree + 1) for wave in ("Cos", "Sin")]
+
+
+def _angles(tree: Tree, given: Input) -> dict[str, Any]:
+    values: list[Any] = []
+    for angle in _zyz(tree, given("Turn")):
+        for pair in _multiples(tree, angle, MAX_DEGREE):
+            values += pair
+    return dict(zip(_angle_labels(MAX_DEGREE), values, strict=True))
+
+
+def _band(tree: Tree, given: Input, *, degree: int) -> dict[str, Any]:
+    last, middle, first = (
+        [(given(f"Cos {m} {angle}"), given(f"Sin {m} {angle}")) for m in range(1, degree + 1)] for angle in _ANGLES
+    )
+    to_y = sh_rotation(_QUARTER, degree)[degree - 1]
+    values = _about_z(tree, [given(f"C {k}") for k in range(2 * degree + 1)], first)
+    values = _times(tree, to_y.T, values)
+    values = _about_z(tree, values, middle)
+    values = _about_z(tree, _times(tree, to_y, values), last)
+    return {f"C {k}": value for k, value in enumerate(values)}
 
 
 def _zyz(tree: Tree, turn: Any) -> tuple[Any, Any, Any]:

@@ -14,13 +14,18 @@ from ..core.rig.lbs import few_influences, top_influences
 from . import names
 from .armature import deform_bones
 from .attributes import ObjectData, read_attribute, read_positions, write_attribute
-from .bone_frames import armature_of
+from .bone_frames import armature_of, bone_order
+from .rotation_nodes import frames_of
 from .steps import SLICE
 
 Array = NDArray[Any]
 
 CELLS = 500_000
 """Weights, of all bones, that one slice sorts."""
+
+
+SAME = 1e-5
+"""Weights that differ by no more are the same: what is stored in 32 bits is normalised again when it is read."""
 
 
 def slice_rows(bones: int) -> int:
@@ -75,6 +80,56 @@ def write_influences(
         write_attribute(obj.data, names.WEIGHT.format(slot), "FLOAT", weight[slot])
     _keep_rest(obj)
     obj.data.update()
+
+
+def turns_by(obj: bpy.types.Object, bones: Sequence[str], index: Array, value: Array) -> bool:
+    """Whether the splats are turned by these strongest bones already, index and value (N, K) of `bones`."""
+    frames = frames_of(obj)
+    stored = read_influences(obj)
+    if frames is None or stored is None:
+        return False
+    order = bone_order(frames)
+    place = {name: number for number, name in enumerate(bones)}
+    # One more column, for splats that no bone turns.
+    there = np.array([*(place.get(name, -2) for name in order), -1], dtype=np.int64)
+    bone, weight = stored
+    if bone.max(initial=-1) >= len(order):
+        return False
+    bone = there[bone]
+    still = bone[:, 0] == -1
+    given, share = np.full((len(index), bone.shape[1]), -1, np.int64), np.zeros(weight.shape, np.float32)
+    width = min(index.shape[1], bone.shape[1])
+    given[:, :width], share[:, :width] = index[:, :width], value[:, :width]
+    given[share <= 0] = -1
+    weight = np.where(still[:, None], 0, weight)
+    differ = (given != np.where(weight > 0, bone, -1)) | (np.abs(share - weight) > SAME)
+    rows = np.flatnonzero(differ.any(axis=1))
+    # Of nearly equal weights either may come first.
+    for row in rows.tolist():
+        one = {int(b): float(w) for b, w in zip(given[row], share[row], strict=True) if w > 0}
+        other = {int(b): float(w) for b, w in zip(bone[row], weight[row], strict=True) if w > 0}
+        if any(abs(one.get(b, 0.0) - other.get(b, 0.0)) > SAME for b in one.keys() | other.keys()):
+            return False
+    return True
+
+
+def read_influences(obj: bpy.types.Object) -> tuple[Array, Array] | None:
+    """Index (N, 4) int32 among the bone frames, -1 for none, and weight (N, 4) float32 that turn each splat; None where
+    they are not all there."""
+    slots = range(names.INFLUENCES)
+    bone = [read_attribute(obj.data, names.BONE.format(slot)) for slot in slots]
+    weight = [read_attribute(obj.data, names.WEIGHT.format(slot)) for slot in slots]
+    if any(values is None for values in (*bone, *weight)):
+        return None
+    return np.stack(bone, axis=1), np.stack(weight, axis=1)  # type: ignore[arg-type]
+
+
+def rest_is_kept(obj: bpy.types.Object) -> bool:
+    """Whether where the splats are at rest is stored as it is, if bendy bones move them, else not at all."""
+    stored, armature = read_attribute(obj.data, names.REST), armature_of(obj)
+    if armature is None or not any(bone.bbone_segments > 1 for bone in deform_bones(armature)):
+        return stored is None
+    return stored is not None and np.array_equal(stored, read_positions(obj.data))
 
 
 def _keep_rest(obj: bpy.types.Object) -> None:

@@ -35,6 +35,7 @@ def viewport_material() -> bpy.types.Material:
         clear = tree.out("ShaderNodeBsdfTransparent", "BSDF")
         shader = tree.out("ShaderNodeMixShader", "Shader", {0: alpha, 1: clear, 2: shader})
         tree.node("ShaderNodeOutputMaterial", {"Surface": shader})
+        tree.lay_out()
         material.surface_render_method = "DITHERED"
     return material
 
@@ -51,6 +52,7 @@ def render_material() -> bpy.types.Material:
     if tree is not None:
         shader = _gaussian_shader(tree)
         tree.node("ShaderNodeOutputMaterial", {"Surface": shader})
+        tree.lay_out()
         # EEVEE cannot sort splats; dithering needs no order.
         material.surface_render_method = "DITHERED"
     return material

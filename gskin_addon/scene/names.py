@@ -62,6 +62,8 @@ FRAME_JOINT = "gskin:joint"
 FRAME_MAP = "gskin:map"
 FRAME_STRETCH = "gskin:stretch"
 FRAME_INVERSE = "gskin:inverse"
+FRAME_LOCAL = "gskin:local"
+FRAME_ODD = "gskin:odd"
 SHAPE = "gskin:shape"
 
 CONFIDENCE = "gskin:confidence"
@@ -88,6 +90,9 @@ ANCHOR_MODIFIER = "GSkin Anchor"
 ANCHOR_MARK = "gskin_anchor_mesh"
 """Custom property that marks the hidden helper mesh of anchored splats."""
 
+EDGES_ONLY = "gskin_edges_only"
+"""Custom property of that mesh: its one-ring maps come from the edges alone."""
+
 # Where a splat hangs on its proxy mesh (Eq. 4): triangle, barycentrics, offset, what Eq. 4 leaves out, and the bound
 # of the posed circumradius.
 FACE = "gskin:face"
@@ -100,6 +105,7 @@ REACH = "gskin:reach"
 CORNER_NEXT = "gskin:next"
 CORNER_LAST = "gskin:last"
 MAP_COEFFICIENTS = ("gskin:g_next", "gskin:g_last", "gskin:g_normal")
+RING_SHARE = "gskin:ring_share"
 # On its points, while the nodes run: columns of the vertices' rotation and shear.
 MAP_ROTATION = tuple(f"gskin:r_{k}" for k in range(3))
 MAP_SHEAR = tuple(f"gskin:s_{k}" for k in range(3))

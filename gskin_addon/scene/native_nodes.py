@@ -8,6 +8,7 @@ harmonics in the object's own space, so what the bones have turned is turned her
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import chain, pairwise
 from typing import Any
 
@@ -15,11 +16,17 @@ import bpy
 
 from ..core.splats.cloud import SH_C0
 from . import names
-from .harmonics_nodes import turned_bands
-from .node_builder import Tree
+from .display_colors import SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF, splat_srgb
+from .harmonics_nodes import MAX_DEGREE, turned_bands
+from .node_builder import Input, Tree, function_group
+from .sampled import Sampled
 
-MAX_DEGREE = 3
-"""Highest degree that Blender draws; higher bands are left out."""
+VERSION = 1
+"""Of the node groups."""
+
+_LABELS = [names.SH.format(k) for k in range((MAX_DEGREE + 1) ** 2 - 1)]
+"""Blender draws no higher degree; higher bands are left out."""
+_STARTS = [degree**2 - 1 for degree in range(1, MAX_DEGREE + 2)]
 
 POSITION_STEPS = 2**22
 """Into how many steps Blender divides the extent of all splats on each axis; one far splat makes all places coarse."""
@@ -33,26 +40,32 @@ def has_native_splats() -> bool:
     return bpy.app.version >= (5, 3, 0)
 
 
-def native_splats(tree: Tree, splats: Any, size: Any, special: Any, srgb: Any) -> Any:
-    """A point cloud of native splats made of the mesh `splats`, as a geometry.
+def native_group() -> bpy.types.NodeTree:
+    """The node group that makes a point cloud of native splats of the mesh `Splats`.
 
-    size: factor on every splat's size. special, srgb: a single boolean and a field over the points; where true, the
-    splats have these colours, seen from everywhere, instead of those captured.
+    Size: factor on every splat's size. Show Bones, Show Confidence, Show Weights Of: single values; where one is set,
+    the splats have these colours, seen from everywhere, instead of those captured.
     """
-    index = tree.out("GeometryNodeInputIndex", "Index")
+    kinds = {"Splats": "Geometry", "Size": "Float", SHOW_BONES: "Bool", SHOW_CONFIDENCE: "Bool",
+             SHOW_WEIGHTS_OF: "String"}  # fmt: skip
+    return function_group("GSkin Native Splats", VERSION, kinds, {"Points": "Geometry"}, _native)
 
-    def sampled(value: Any, kind: str) -> Any:
-        inputs = {"Geometry": splats, "Value": value, "Index": index}
-        return tree.out("GeometryNodeSampleIndex", "Value", inputs, data_type=kind, domain="POINT")
 
-    def own(name: str, kind: str) -> Any:
-        return sampled(tree.attribute(name, kind), kind)
+def native_parts() -> tuple[Callable[[], object], ...]:
+    """What builds the groups that `native_group` uses, beside those of colours and of turned harmonics."""
+    return _harmonics_group, _stored_group
 
+
+def _native(tree: Tree, given: Input) -> dict[str, Any]:
+    splats = given("Splats")
+    own = Sampled(tree, splats, tree.out("GeometryNodeInputIndex", "Index"))
+    shown_as = {label: given(label) for label in (SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF)}
+    srgb, special = splat_srgb(tree, own, shown_as)
     # New points, and not Mesh to Points, which would copy vertex groups and all else.
-    place = sampled(tree.out("GeometryNodeInputPosition", "Position"), "FLOAT_VECTOR")
+    place = own.field(tree.out("GeometryNodeInputPosition", "Position"), "FLOAT_VECTOR")
     inputs = {"Count": tree.domain_size(splats, "MESH"), "Position": place}
     points = tree.out("GeometryNodePoints", "Points", inputs)
-    factor = tree.scale((1.0 + NUDGE, 1.0, 1.0 - NUDGE), size)
+    factor = tree.scale((1.0 + NUDGE, 1.0, 1.0 - NUDGE), given("Size"))
     scale = tree.vector("MULTIPLY", own(names.SCALE, "FLOAT_VECTOR"), factor)
     base = own(names.BASE, "FLOAT_COLOR")
     inputs = {"Switch": special, "False": base, "True": _as_base(tree, srgb, base)}
@@ -60,9 +73,11 @@ def native_splats(tree: Tree, splats: Any, size: Any, special: Any, srgb: Any) -
     points = tree.store(points, names.ROTATION, "QUATERNION", own(names.ROTATION, "QUATERNION"))
     points = tree.store(points, names.SCALE, "FLOAT_VECTOR", scale)
     points = tree.store(points, names.BASE, "FLOAT_COLOR", base)
-    inputs = {"Switch": special, "False": _with_harmonics(tree, splats, points, own), "True": points}
+    harmonics = tree.call(_harmonics_group(), own.given)
+    whole = tree.call(_stored_group(), {"Splats": splats, "Points": points, **harmonics})["Points"]
+    inputs = {"Switch": special, "False": whole, "True": points}
     points = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
-    return tree.out("GeometryNodePointsSetType", "Points", {"Points": points, "Type": "3D Gaussian Splat"})
+    return {"Points": tree.out("GeometryNodePointsSetType", "Points", {"Points": points, "Type": "3D Gaussian Splat"})}
 
 
 def _as_base(tree: Tree, srgb: Any, base: Any) -> Any:
@@ -76,25 +91,39 @@ def _as_base(tree: Tree, srgb: Any, base: Any) -> Any:
     return tree.out("FunctionNodeCombineColor", "Color", channels)
 
 
-def _with_harmonics(tree: Tree, splats: Any, points: Any, own: Any) -> Any:
-    """The points with as many bands as the mesh has, turned where bones turn them."""
-    labels = [names.SH.format(k) for k in range((MAX_DEGREE + 1) ** 2 - 1)]
-    rest = [own(label, "FLOAT_VECTOR") for label in labels]
-    starts = [degree**2 - 1 for degree in range(1, MAX_DEGREE + 2)]
-    bands = [rest[start:end] for start, end in pairwise(starts)]
+def _harmonics_group() -> bpy.types.NodeTree:
+    """The node group of all coefficients above the constant, turned where bones turn the splats."""
+    values = dict.fromkeys(_LABELS, "Vector")
+    return function_group("GSkin Turned Harmonics", VERSION, Sampled.SOCKETS, values, _harmonics)
+
+
+def _harmonics(tree: Tree, given: Input) -> dict[str, Any]:
+    own = Sampled.within(tree, given)
+    rest = [own(label, "FLOAT_VECTOR") for label in _LABELS]
+    bands = [rest[start:end] for start, end in pairwise(_STARTS)]
     turned = chain.from_iterable(turned_bands(tree, bands, own(names.TURN, "QUATERNION")))
-    is_turned = _has(tree, splats, names.TURN, "QUATERNION")
-    shown = []
-    for one, other in zip(rest, turned, strict=True):
+    is_turned = own.has(names.TURN, "QUATERNION")
+    shown = {}
+    for label, one, other in zip(_LABELS, rest, turned, strict=True):
         inputs = {"Switch": is_turned, "False": one, "True": other}
-        shown.append(tree.out("GeometryNodeSwitch", "Output", inputs, input_type="VECTOR"))
-    result = points
-    for start, end in pairwise(starts):
-        stored = _stored(tree, points, labels[:end], shown[:end])
-        has_band = _has(tree, splats, labels[start], "FLOAT_VECTOR")
+        shown[label] = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="VECTOR")
+    return shown
+
+
+def _stored_group() -> bpy.types.NodeTree:
+    """The node group that stores as many bands on `Points` as the mesh `Splats` has."""
+    kinds = {"Splats": "Geometry", "Points": "Geometry", **dict.fromkeys(_LABELS, "Vector")}
+    return function_group("GSkin Stored Harmonics", VERSION, kinds, {"Points": "Geometry"}, _all_stored)
+
+
+def _all_stored(tree: Tree, given: Input) -> dict[str, Any]:
+    points = result = given("Points")
+    for start, end in pairwise(_STARTS):
+        stored = _stored(tree, points, _LABELS[:end], [given(label) for label in _LABELS[:end]])
+        has_band = tree.has(given("Splats"), _LABELS[start], "FLOAT_VECTOR")
         inputs = {"Switch": has_band, "False": result, "True": stored}
         result = tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
-    return result
+    return {"Points": result}
 
 
 def _stored(tree: Tree, points: Any, labels: list[str], values: list[Any]) -> Any:
@@ -109,10 +138,3 @@ def _stored(tree: Tree, points: Any, labels: list[str], values: list[Any]) -> An
     for label in labels:
         points = tree.store(points, label, "FLOAT_VECTOR", tree.output(capture, label))
     return points
-
-
-def _has(tree: Tree, geometry: Any, name: str, kind: str) -> Any:
-    """Whether the geometry has an attribute, as a single boolean: looked up at its first point."""
-    exists = tree.out("GeometryNodeInputNamedAttribute", "Exists", {"Name": name}, data_type=kind)
-    inputs = {"Geometry": geometry, "Value": exists, "Index": 0}
-    return tree.out("GeometryNodeSampleIndex", "Value", inputs, data_type="BOOLEAN", domain="POINT")

@@ -19,19 +19,24 @@ class Tree:
 
     def __init__(self, tree: bpy.types.NodeTree) -> None:
         self.tree = tree
-        self._column = 0
 
     def node(self, kind: str, inputs: Mapping[Any, Value] | None = None, **properties: Any) -> bpy.types.Node:
         """Add a node; `properties` are set first, because they decide which sockets exist."""
         node = self.tree.nodes.new(kind)
-        # A plain grid: nobody edits these by hand, but whoever opens the group should see every node.
-        node.location = (220 * (self._column // 6), -260 * (self._column % 6))
-        self._column += 1
         for name, value in properties.items():
             setattr(node, name, value)
         for key, value in (inputs or {}).items():
             self.connect(value, self.input(node, key))
         return node
+
+    def lay_out(self) -> None:
+        """Put the nodes on a plain grid: nobody edits these by hand, but whoever opens the group should see them all.
+
+        All at once, because Blender looks at the whole tree after each node that is moved alone.
+        """
+        nodes: Any = self.tree.nodes
+        places = [(220.0 * (number // 6), -260.0 * (number % 6)) for number in range(len(nodes))]
+        nodes.foreach_set("location", [value for place in places for value in place])
 
     @staticmethod
     def input(node: bpy.types.Node, key: str | int) -> bpy.types.NodeSocket:
@@ -100,6 +105,14 @@ class Tree:
         return self.out("GeometryNodeAttributeDomainSize", "Point Count", inputs, component=component)
 
 
+def existing_group(name: str, version: int) -> bpy.types.NodeTree | None:
+    """Our own node group of this name and version, where the file has it."""
+    for group in bpy.data.node_groups:
+        if group.get("gskin_group") == name and group.get("gskin_version") == version and group.library is None:
+            return group
+    return None
+
+
 def geometry_group(name: str, version: int, inputs: list[tuple[str, str, dict[str, Any]]]) -> tuple[Any, bool]:
     """The geometry node group of this name and version, and whether it is new and still empty.
 
@@ -107,9 +120,9 @@ def geometry_group(name: str, version: int, inputs: list[tuple[str, str, dict[st
     alone for the objects that use it.
     """
     group: Any
-    for group in bpy.data.node_groups:
-        if group.get("gskin_group") == name and group.get("gskin_version") == version and group.library is None:
-            return group, False
+    group = existing_group(name, version)
+    if group is not None:
+        return group, False
     group = bpy.data.node_groups.new(name, "GeometryNodeTree")
     group["gskin_group"], group["gskin_version"] = name, version
     group.is_modifier = True
@@ -134,10 +147,9 @@ def function_group(
     inputs, outputs: kind of socket ("Vector") by label. build(tree, input) gives the outputs, input(label) an input.
     What is used more than once is a group of its own: Blender takes the square of a tree's size to build it.
     """
-    group: Any
-    for group in bpy.data.node_groups:
-        if group.get("gskin_group") == name and group.get("gskin_version") == version and group.library is None:
-            return group
+    group: Any = existing_group(name, version)
+    if group is not None:
+        return group
     group = bpy.data.node_groups.new(name, "GeometryNodeTree")
     group["gskin_group"], group["gskin_version"] = name, version
     for way, sockets in (("INPUT", inputs), ("OUTPUT", outputs)):
@@ -146,6 +158,7 @@ def function_group(
     tree = Tree(group)
     source = tree.node("NodeGroupInput")
     tree.node("NodeGroupOutput", build(tree, lambda label: tree.output(source, label)))
+    tree.lay_out()
     return group
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ..core.errors import InputError
 from ..core.rig.anchoring import pose_anchored
 from ..core.splats.cloud import SplatCloud
-from .anchored import attach, find_anchors, proxy_of, read_anchors
+from .anchored import attach, find_anchors, has_edges_only, proxy_of, read_anchors
 from .attributes import read_positions
 from .binding import follow
 from .bone_frames import armature_of
@@ -117,4 +117,5 @@ def posed_anchored(obj: bpy.types.Object) -> SplatCloud:
         )
     matrix = np.linalg.inv(np.array(obj.matrix_world)) @ np.array(evaluated.matrix_world)
     posed = posed @ matrix[:3, :3].T + matrix[:3, 3]
-    return to_world(pose_anchored(read_cloud(obj, world=False), anchors, verts, posed, faces), obj)
+    cloud = read_cloud(obj, world=False)
+    return to_world(pose_anchored(cloud, anchors, verts, posed, faces, edges_only=has_edges_only(obj)), obj)

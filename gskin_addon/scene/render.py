@@ -8,6 +8,8 @@ from typing import Any
 
 import bpy
 
+from .native_nodes import has_native_splats
+
 TRANSPARENT_BOUNCES = 256
 """Splats that a ray may pass in Cycles; Blender's default of 8 turns dense splats dark."""
 
@@ -15,9 +17,17 @@ CERTAIN_BOUNCES = 64
 """Splats that every ray passes. With Blender's 0 Cycles ends rays by lot and makes up for it in those that go on: white
 flecks on dark splats. On a captured face more than 64 gains 0.01 dB."""
 
+VIEW_SAMPLES = 32
+"""Samples of a Rendered view at which Blender's own splats, which it dithers, are 32 dB near; it has 16."""
+
 
 def prepare_scene(scene: bpy.types.Scene) -> None:
-    """Raise the scene's transparency depth to what splats need; nothing else changes."""
+    """Raise the scene's transparency depth, and where Blender draws splats itself the samples of its views, to what
+    splats need; nothing else changes."""
+    eevee = getattr(scene, "eevee", None)
+    # 0 samples are as many as there is time for.
+    if has_native_splats() and eevee is not None and 0 < eevee.taa_samples < VIEW_SAMPLES:
+        eevee.taa_samples = VIEW_SAMPLES
     cycles = getattr(scene, "cycles", None)
     if cycles is not None:
         cycles.transparent_max_bounces = max(cycles.transparent_max_bounces, TRANSPARENT_BOUNCES)

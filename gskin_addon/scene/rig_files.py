@@ -13,6 +13,7 @@ from ..core.files import replaced
 from .actions import drop_foreign
 from .blend_rigs import append_rig, keep_only
 from .dependencies import needed_objects
+from .gltf_readable import readable
 from .splat_object import is_splat_object
 
 ARMATURE_SUFFIXES = (".blend", ".glb", ".gltf", ".fbx")
@@ -23,32 +24,37 @@ def empty_scene() -> None:
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
 
 
-def import_armature(path: Path, name: str | None = None) -> bpy.types.Object:
+def import_armature(path: Path, name: str | None = None, notes: list[str] | None = None) -> bpy.types.Object:
     """Add the armature of a .blend, .glb, .gltf or .fbx file to the scene, with its actions and all that moves it.
 
-    `name` chooses among several. Raises InputError: no such file or kind, unreadable, no armature, no such
-    name.
+    `name` chooses among several. `notes` gets sentences about what was left out. Raises InputError: no such file or
+    kind, unreadable, no armature, no such name.
     """
     if path.suffix.lower() not in ARMATURE_SUFFIXES:
         raise InputError(f"'{path}' is no armature file; give a {', '.join(ARMATURE_SUFFIXES)} file.")
     if not path.is_file():
         raise InputError(f"'{path}' does not exist; check the path of the armature file.")
     if path.suffix.lower() == ".blend":
-        return _append(path, name)
+        return _append(path, name, notes)
     before, actions = set(bpy.data.objects), set(bpy.data.actions)
     _import(path)
     added = [obj for obj in bpy.data.objects if obj not in before]
     armature = _choose([obj for obj in added if obj.type == "ARMATURE"], "armature", name, path)
     needed = needed_objects(armature)
-    drop_foreign([action for action in bpy.data.actions if action not in actions], needed)
+    doubts = drop_foreign([action for action in bpy.data.actions if action not in actions], needed)
+    if notes is not None:
+        notes += doubts
     keep_only(needed, added)
     return armature
 
 
-def import_objects(path: Path) -> list[bpy.types.Object]:
-    """All objects of a .glb, .gltf or .fbx file, added to the scene. Raises InputError where Blender cannot read it."""
+def import_objects(path: Path, *, skeletons: bool = True) -> list[bpy.types.Object]:
+    """All objects of a .glb, .gltf or .fbx file, added to the scene; skeletons: see `gltf_readable.readable`.
+
+    Raises InputError where Blender cannot read it.
+    """
     before = set(bpy.data.objects)
-    _import(path)
+    _import(path, skeletons=skeletons)
     return [obj for obj in bpy.data.objects if obj not in before]
 
 
@@ -77,16 +83,16 @@ def save_blend(path: Path) -> None:
         raise GSkinError(f"'{path}' could not be written ({_reason(error)}); check folder and free space.") from error
 
 
-def _append(path: Path, name: str | None) -> bpy.types.Object:
+def _append(path: Path, name: str | None, notes: list[str] | None) -> bpy.types.Object:
     try:
-        return append_rig(path, lambda found: _choose(found, "armature", name, path))
+        return append_rig(path, lambda found: _choose(found, "armature", name, path), notes)
     except (OSError, RuntimeError, ValueError) as error:
         if isinstance(error, GSkinError):
             raise
         raise InputError(f"'{path}' cannot be read as a .blend ({_reason(error)}); {_remedy(error)}.") from error
 
 
-def _import(path: Path) -> None:
+def _import(path: Path, *, skeletons: bool = True) -> None:
     try:
         if path.suffix.lower() == ".fbx":
             # Other programs' bones do not lie along their y axis; this turns them to their children.
@@ -97,7 +103,8 @@ def _import(path: Path) -> None:
             gltf: Any = bpy.ops.import_scene.gltf
             if "disable_bone_shape" in gltf.get_rna_type().properties:
                 options["disable_bone_shape"] = True
-            bpy.ops.import_scene.gltf(filepath=str(path.absolute()), **options)
+            with readable(path, skeletons=skeletons) as copy:
+                bpy.ops.import_scene.gltf(filepath=str(copy.absolute()), **options)
     except (RuntimeError, AttributeError, ValueError, KeyError, TypeError, IndexError, OSError) as error:
         raise InputError(f"'{path}' cannot be imported ({_reason(error)}); export it again.") from error
 

@@ -16,14 +16,14 @@ import bpy
 from ..core.rig.stretch import RIGID
 from . import names
 from .bone_frames import has_joints
-from .frame_nodes import bone_points, choose, largest
+from .frame_nodes import bone_points, bounds, choose
 from .node_algebra import parts
 from .node_builder import Input, Tree, add_modifier, find_group, function_group, geometry_group, get_input, set_input
 from .stretch_nodes import influences, stretched_splats
 
-VERSIONS = {False: 3, True: 4}
+VERSIONS = {False: 5, True: 6}
 """Of the group, without and with what bendy bones need: it takes a third of a second to build."""
-GROUPS = 1
+GROUPS = 2
 """Version of the groups inside."""
 FRAMES_INPUT = "Bone Frames"
 
@@ -65,16 +65,30 @@ def _build(group: bpy.types.NodeTree, bendy: bool) -> None:
     geometry, frames = tree.output(source, "Geometry"), tree.output(source, FRAMES_INPUT)
     info = tree.node("GeometryNodeObjectInfo", {"Object": frames}, transform_space="RELATIVE")
     bones = bone_points(tree, info)
-    stretch = parts(tree, tree.attribute(names.FRAME_STRETCH, "FLOAT_VECTOR"))[0]
-    uneven = tree.math("GREATER_THAN", largest(tree, bones, stretch), RIGID)
+    own, _, size = parts(tree, tree.attribute(names.FRAME_STRETCH, "FLOAT_VECTOR"))
+    uneven = tree.math("GREATER_THAN", bounds(tree, bones, own)[1], RIGID)
+    smallest, largest = bounds(tree, bones, size)
+    apart = tree.math("SUBTRACT", tree.math("DIVIDE", largest, smallest), 1.0)
+    odd = tree.math("MAXIMUM", apart, bounds(tree, bones, tree.attribute(names.FRAME_ODD, "FLOAT"))[1])
     kinds = {"Geometry": "Geometry", "Bones": "Geometry"}
     made = []
-    odd = ("GSkin Bendy", _bendy) if bendy else ("GSkin Stretched", _plain)
-    for name, build in (("GSkin Turned", _turned), odd):
+    stretched = ("GSkin Bendy", _bendy) if bendy else ("GSkin Stretched", _plain)
+    for name, build in (("GSkin Turned", _turned), stretched):
         group_of = function_group(name, GROUPS, kinds, {"Geometry": "Geometry"}, build)
         made.append(tree.call(group_of, {"Geometry": geometry, "Bones": bones})["Geometry"])
-    # The condition is a single value: what is not asked for is not computed.
-    tree.node("NodeGroupOutput", {"Geometry": choose(tree, uneven, made[0], made[1], "GEOMETRY")})
+    scaled = _scaled(tree, made[0], largest)
+    # The conditions are single values: what is not asked for is not computed.
+    more = choose(tree, tree.math("GREATER_THAN", odd, RIGID), scaled, made[1], "GEOMETRY")
+    tree.node("NodeGroupOutput", {"Geometry": choose(tree, uneven, made[0], more, "GEOMETRY")})
+    tree.lay_out()
+
+
+def _scaled(tree: Tree, turned: Any, factor: Any) -> Any:
+    """The turned splats where all bones are rotations times the same scale, as of a rig that is scaled by its root."""
+    follows = tree.math("GREATER_THAN", tree.attribute(names.BONE.format(0), "INT"), -0.5)
+    own = choose(tree, follows, 1.0, factor, "FLOAT")
+    size = tree.scale(tree.attribute(names.SCALE, "FLOAT_VECTOR"), own)
+    return tree.store(turned, names.SCALE, "FLOAT_VECTOR", size)
 
 
 def _turned(tree: Tree, given: Input) -> dict[str, Any]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The vertex groups of splats as a weights file."""
+"""The vertex groups of splats as a weights file: ours, or for a name in .txt RigNet's."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 import bpy
 
 from ..core.errors import InputError
+from ..core.rig.rignet_file import write_rignet
 from ..core.rig.weights_file import write_weights_file
 from . import names
 from .armature import read_skeleton
@@ -31,6 +32,9 @@ def save_weights(splats: bpy.types.Object, path: Path) -> tuple[int, int]:
             f"{empty:,} of the {len(weights):,} splats of '{splats.name}' have no weights for bones of "
             f"'{armature.name}'; paint some, or run Auto-Skin."
         )
+    if path.suffix.lower() == ".txt":
+        write_rignet(path, weights / total, skeleton)
+        return len(weights), skeleton.count
     confidence = read_attribute(splats.data, names.CONFIDENCE)
     write_weights_file(path, weights / total, skeleton, confidence=confidence)
     return len(weights), skeleton.count

@@ -12,11 +12,15 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import bpy
+
 from . import names
 from .materials import FAINTEST, render_material
-from .node_builder import Tree
+from .node_builder import Input, Tree, function_group
 from .seen_color import towards_camera
 
+VERSION = 1
+"""Of the node group."""
 SIDES = 8
 """Corners of a disc; it encloses the circle."""
 
@@ -24,12 +28,18 @@ THINNEST = 1e-4
 """Thickness, relative to the longest axis, at which a flat splat still has a facing."""
 
 
-def soft_splats(tree: Tree, points: Any, opacity: Any, size: Any, facing: Any) -> Any:
-    """Instances on points that have `rotation` and `scale`, as a geometry.
+def soft_group() -> bpy.types.NodeTree:
+    """The node group that makes instances of points that have `rotation` and `scale`.
 
-    opacity: field over the points. size: factor. facing: a single boolean, discs towards the camera or whole
+    Opacity: field over the points. Size: factor. Facing: a single boolean, discs towards the camera or whole
     ellipsoids.
     """
+    kinds = {"Points": "Geometry", "Opacity": "Float", "Size": "Float", "Facing": "Bool"}
+    return function_group("GSkin Soft Splats", VERSION, kinds, {"Instances": "Geometry"}, _soft_splats)
+
+
+def _soft_splats(tree: Tree, given: Input) -> dict[str, Any]:
+    points, opacity, size, facing = (given(label) for label in ("Points", "Opacity", "Size", "Facing"))
     # The radius, in standard deviations, that `render_material` takes the instance to have.
     ratio = tree.math("MAXIMUM", tree.math("MULTIPLY", opacity, 1 / FAINTEST), 1.0)
     reach = tree.math("SQRT", tree.math("MULTIPLY", tree.math("LOGARITHM", ratio, math.e), 2.0))
@@ -46,7 +56,7 @@ def soft_splats(tree: Tree, points: Any, opacity: Any, size: Any, facing: Any) -
     instances = tree.out("GeometryNodeInstanceOnPoints", "Instances", inputs)
     facing_camera = _faced(tree, instances, rotation, scale)
     inputs = {"Switch": facing, "False": instances, "True": facing_camera}
-    return tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")
+    return {"Instances": tree.out("GeometryNodeSwitch", "Output", inputs, input_type="GEOMETRY")}
 
 
 def _faced(tree: Tree, instances: Any, rotation: Any, scale: Any) -> Any:

@@ -21,8 +21,8 @@ from ..core.splats.cloud import SplatCloud
 from . import names
 from .attributes import ObjectData, read_attribute, read_positions, write_attribute, write_positions
 from .extra_columns import read_extra, write_extra
-from .node_groups import add_display
-from .steps import Steps, run_to_end
+from .node_groups import add_display, display_steps
+from .steps import Steps, part_of, run_to_end
 from .transforms import world_similarity
 
 VERSION = 1
@@ -52,7 +52,9 @@ def create_splat_steps(
     try:
         mesh.vertices.add(cloud.count)
         yield 0.0
-        yield from _column_steps(mesh, cloud)
+        yield from part_of(_column_steps(mesh, cloud), 0.0, 0.9)
+        if display:
+            yield from part_of(display_steps(), 0.9, 1.0)
     except BaseException:
         bpy.data.meshes.remove(mesh)
         raise
@@ -61,7 +63,6 @@ def create_splat_steps(
     if cloud.offset.any():
         obj[names.GEO_OFFSET] = cloud.offset.tolist()
     if display:
-        yield 1.0
         add_display(obj)
     return obj
 

@@ -13,11 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
-from .actions import assign, belongs, choose_part, parts_of
+from .actions import assign, belongs, choose_part, own_parts, parts_of
 from .anchored import proxy_of
 from .armature import deform_bone_names, pose_transforms_of
+from .clip_losses import listed, posed_by_hand
 from .controls import followers, set_property, switched, switches
 from .dependencies import is_animated, needed_objects, unheard_drivers
+from .frames import frame_of, go_to
 from .posing import Channels, channels, hold_pose, pose_matrices, restore, turn_bones
 from .weights import read_weights
 
@@ -44,10 +46,11 @@ def pose_still(obj: bpy.types.Object, armature: bpy.types.Object, wanted: Pose) 
     Raises InputError: unknown bones, properties or actions, an action of another object, a turn that does not arrive
     at the splats, a pose that would not stay.
     """
+    switched_on = _switch_on(obj)
     if not wanted:
         rests = armature.data.pose_position == "REST"
-        return [f"Armature '{armature.name}' is in Rest Position, and its splats with it"] if rests else []
-    notes = []
+        return switched_on + [f"Armature '{armature.name}' is in Rest Position, and its splats with it"] * rests
+    notes = switched_on
     if armature.data.pose_position == "REST":
         armature.data.pose_position = "POSE"
         notes.append(f"Armature '{armature.name}' was in Rest Position; it is in Pose Position now")
@@ -59,8 +62,14 @@ def pose_still(obj: bpy.types.Object, armature: bpy.types.Object, wanted: Pose) 
     if wanted.frame is not None:
         if not is_animated(needed):
             notes.append(f"Nothing moves '{armature.name}': it is the same at every frame")
-        whole, part = divmod(wanted.frame, 1.0)
-        bpy.context.scene.frame_set(int(whole), subframe=part)
+        go_to(bpy.context.scene, wanted.frame)
+        by_hand = posed_by_hand(armature) if wanted.action is None and own_parts(armature) else []
+        if by_hand:
+            verb = "has no keys and stands" if len(by_hand) == 1 else "have no keys and stand"
+            notes.append(
+                f"{listed(by_hand)} of '{armature.name}' {verb} as posed by hand, as Blender shows it; with --action, "
+                "and in the clips of a .glb, such bones are at rest"
+            )
     if wanted.turns or wanted.settings:
         # Blender would take them back at the next change of frame, and on opening the file.
         notes += hold_pose(armature)
@@ -68,6 +77,18 @@ def pose_still(obj: bpy.types.Object, armature: bpy.types.Object, wanted: Pose) 
         _set(armature, owner, prop, value)
     notes += _turn(obj, armature, wanted.turns)
     _check_that_it_stays(armature)
+    return notes
+
+
+def _switch_on(obj: bpy.types.Object) -> list[str]:
+    """Let the modifiers by which the splats follow their armature, or the mesh they hang on does, work; say which."""
+    notes = []
+    for carrier in filter(None, (obj, proxy_of(obj))):
+        for modifier in carrier.modifiers:
+            follows = modifier.type == "ARMATURE" and modifier.object is not None
+            if follows and not (modifier.show_viewport and modifier.show_render):
+                modifier.show_viewport = modifier.show_render = True
+                notes.append(f"Modifier '{modifier.name}' of '{carrier.name}' was switched off; it is on now")
     return notes
 
 
@@ -157,8 +178,7 @@ def _moves_nothing(
 
 
 def _evaluate_frame() -> None:
-    scene = bpy.context.scene
-    scene.frame_set(scene.frame_current, subframe=scene.frame_subframe)
+    go_to(bpy.context.scene, frame_of(bpy.context.scene))
 
 
 def _check_that_it_stays(armature: bpy.types.Object) -> None:

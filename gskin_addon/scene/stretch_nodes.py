@@ -16,7 +16,7 @@ from .frame_nodes import choose, direction, matrix_of
 from .node_algebra import Columns, combine, jacobi, parts, vector
 from .node_builder import Input, Tree, function_group
 
-VERSION = 1
+VERSION = 2
 """Of the node groups."""
 
 SWEEPS = 4
@@ -61,18 +61,25 @@ def stretched_splats(tree: Tree, splats: Any, found: list[Influence]) -> Any:
     splats: with ROTATION at rest, and TURN blended by Eq. 3 already.
     """
     stretch: Any = (0.0, 0.0, 0.0)
+    smallest: Any = None
     spins = []
     for each in found:
         held = tree.math("GREATER_THAN", each.weight, 0.0)
         stretch = tree.vector("MAXIMUM", stretch, tree.scale(each.stretch, held))
+        # The strongest bone comes first; where another has no weight, its size stands for that one's.
+        size = parts(tree, each.stretch)[2]
+        own = size if smallest is None else choose(tree, held, smallest, size, "FLOAT")
+        smallest = own if smallest is None else tree.math("MINIMUM", smallest, own)
         w, v = _quaternion(tree, each.turn)
-        root = tree.math("SQRT", tree.math("MULTIPLY", each.weight, parts(tree, each.stretch)[2]))
+        root = tree.math("SQRT", tree.math("MULTIPLY", each.weight, size))
         spins += [tree.math("MULTIPLY", w, root), *parts(tree, tree.scale(v, root))]
     weights = [each.weight for each in found]
     inputs = {
         label: combine(tree, [each.columns[k] for each in found], weights) for k, label in enumerate(_COLUMNS)
     }
-    own, inputs["Uneven"], _ = parts(tree, stretch)
+    own, even, largest = parts(tree, stretch)
+    spread = tree.math("SUBTRACT", tree.math("DIVIDE", largest, smallest), 1.0)
+    inputs["Uneven"] = tree.math("MAXIMUM", even, spread)
     inputs["Spins"] = tree.out("FunctionNodeCombineMatrix", "Matrix", dict(enumerate(spins)))
     kinds = {**dict.fromkeys(_COLUMNS, "Vector"), "Uneven": "Float", "Spins": "Matrix"}
     shape = function_group("GSkin Stretched Shape", VERSION, kinds, {"Shape": "Matrix"}, _shape)
@@ -121,8 +128,7 @@ def _sampled(tree: Tree, bones: Any, name: str, kind: str, index: Any) -> Any:
 def _plain(tree: Tree, given: Input) -> dict[str, Any]:
     """An influence where no bone has segments."""
     bones, bone = given("Bones"), given("Bone")
-    matrix, inverse = (_sampled(tree, bones, name, "FLOAT4X4", bone) for name in (names.FRAME_MAP, names.FRAME_INVERSE))
-    columns = [direction(tree, direction(tree, axis, inverse), matrix) for axis in AXES]
+    columns = _columns(tree, _sampled(tree, bones, names.FRAME_LOCAL, "FLOAT4X4", bone))[:3]
     # No bone (-1): the splat stays as it is.
     some = tree.math("GREATER_THAN", bone, -0.5)
     columns = [choose(tree, some, axis, column) for axis, column in zip(AXES, columns, strict=True)]

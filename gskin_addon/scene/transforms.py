@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import bpy
@@ -14,6 +16,19 @@ from .visibility import shown
 
 Array = NDArray[Any]
 
+_within_update = False
+
+
+@contextmanager
+def within_update() -> Iterator[None]:
+    """Inside the block Blender tells of an update: places are as they should be, and nothing may be evaluated anew."""
+    global _within_update
+    before, _within_update = _within_update, True
+    try:
+        yield
+    finally:
+        _within_update = before
+
 
 def world_similarity(obj: bpy.types.Object) -> tuple[Array, float, Array]:
     """Rotation (3, 3), scale, translation (3,) in float64 of the object's world matrix.
@@ -21,6 +36,8 @@ def world_similarity(obj: bpy.types.Object) -> tuple[Array, float, Array]:
     Raises InputError where the matrix is not uniform: a stretched, sheared or mirrored Gaussian has no rotation
     and scale of its own.
     """
+    if _within_update:
+        return similarity_as_shown(obj)
     with shown([obj]):
         bpy.context.view_layer.update()  # matrix_world lags behind location, rotation and scale set by a script
         return similarity_as_shown(obj)

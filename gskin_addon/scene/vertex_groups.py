@@ -126,6 +126,27 @@ def read_pairs(obj: bpy.types.Object, part: slice) -> tuple[Array, Array, Array]
     return np.repeat(np.arange(len(groups)), counts), group, weight
 
 
+def group_state(obj: bpy.types.Object) -> tuple[str, frozenset[str]]:
+    """The active vertex group ("" for none) and the locked ones, by name, for `restore_group_state`."""
+    groups: Any = obj.vertex_groups
+    active = groups.active.name if groups.active is not None else ""
+    return active, frozenset(group.name for group in groups if group.lock_weight)
+
+
+def restore_group_state(obj: bpy.types.Object, state: tuple[str, frozenset[str]]) -> None:
+    """Groups that were made anew are locked and active as those of their names were."""
+    active, locked = state
+    for group in obj.vertex_groups:
+        group.lock_weight = group.name in locked
+    obj.vertex_groups.active_index = max(0, obj.vertex_groups.find(active))
+
+
+def add_groups(obj: bpy.types.Object, names: Sequence[str], weights: Array) -> None:
+    """Vertex groups `names` with the columns of weights (N, K) float32, each point in those where it is above 0."""
+    for name, column in zip(names, weights.T, strict=True):
+        _add_group(obj, name, column)
+
+
 def _add_group(obj: bpy.types.Object, name: str, column: Array) -> None:
     """A vertex group with the weights `column` (N,) float32 where they are above 0."""
     if not (column > 0).any():

@@ -20,7 +20,7 @@ from .influences import strongest, write_influences
 from .object_ref import ObjectRef
 from .rotation_nodes import frames_of
 from .steps import Steps, in_thread, part_of
-from .vertex_groups import GroupsAside
+from .vertex_groups import GroupsAside, group_state, restore_group_state
 from .weights import iter_read_weights, mark_edited
 
 Array = NDArray[Any]
@@ -70,15 +70,14 @@ def iter_edit_weights(
     first = min(place.get(name, len(place)) for name in changed)
     again = [name for name in place if place[name] >= first and name in bones and not locked[bones.index(name)]]
     again += [name for name in bones if name in changed and name not in place]
-    active = obj.vertex_groups.active.name if obj.vertex_groups.active is not None else ""
+    state = group_state(obj)
     column = {name: bones.index(name) for name in again}
     with GroupsAside(obj) as groups:
         yield from part_of(groups.write(again, lambda i: np.ascontiguousarray(after[:, column[again[i]]])), 0.6, 0.95)
         obj = groups.check()
         frames = frames_of(obj) or bind(obj, armature)
         obj = groups.commit()
-    if active in obj.vertex_groups:
-        obj.vertex_groups.active = obj.vertex_groups[active]
+    restore_group_state(obj, state)
     write_influences(obj, bone_order(frames), bones, index, value)
     mark_edited(obj, True)
     return count

@@ -20,12 +20,19 @@ from ..core.rig.influences import Influences
 from . import names
 from .armature import deform_bone_names
 from .attributes import write_attribute
-from .binding import bind, check_splats, set_parent
-from .bone_frames import armature_modifier, armature_of, bone_order, ensure_bone_frames, is_outdated
+from .binding import bind, check_splats, set_parent, show_posed_in_edit_mode
+from .bone_frames import (
+    armature_modifier,
+    armature_of,
+    bone_order,
+    ensure_bone_frames,
+    find_bone_frames,
+    is_outdated,
+)
 from .compared import drop_kept, keep
-from .influences import columns_of, slice_rows, strongest, write_influences
+from .influences import columns_of, rest_is_kept, slice_rows, strongest, turns_by, write_influences
 from .object_ref import ObjectRef, object_by_uid
-from .rotation_nodes import add_rotation, frames_of
+from .rotation_nodes import add_rotation, find_rotation, frames_of
 from .single_user import own_mesh, sharers
 from .splat_object import is_splat_object, refuse_edit_mode
 from .steps import SLICE, Steps, part_of, run_to_end, slices
@@ -47,9 +54,10 @@ def write_weights(
     """Bind `obj` to `armature` with `weights` (N, B) as vertex groups named after the bones.
 
     bones: the B bone names of the weights' columns (default: the armature's deform bones). Every splat keeps its
-    `max_influences` strongest bones, normalised. Vertex groups of the armature's bones are replaced, other groups
-    stay. confidence: (N,) in 0..1, how sure the weights are; without it an earlier one is removed. start: what to
-    compare the weights with (`compared.py`), its name and its strongest bones; without it an earlier one is removed.
+    `max_influences` strongest bones (0: all of them), normalised; the nodes turn splats by the four strongest. Vertex
+    groups of the armature's bones are replaced, other groups stay. confidence: (N,) in 0..1, how sure the weights are;
+    without it an earlier one is removed. start: what to compare the weights with (`compared.py`), its name and its
+    strongest bones; without it an earlier one is removed.
     One call inside an operator is one undo step. The object gets a new mesh datablock in place of its own, of the same
     name.
 
@@ -112,7 +120,7 @@ class NewWeights:
         self._start, self._bones = start, bones
         place = {name: column for column, name in enumerate(bones)}
         self._columns = [place.get(name, -1) for name in self._deform]
-        width = min(max_influences, len(self._deform))
+        width = min(max_influences or len(self._deform), len(self._deform))
         self._index = np.zeros((len(weights), width), dtype=np.int32)
         self._value = np.zeros((len(weights), width), dtype=np.float32)
         self._groups = GroupsAside(obj)
@@ -212,16 +220,16 @@ def iter_read_weights(
 
 
 def update_rotation_weights(obj: bpy.types.Object) -> None:
-    """Take over painted vertex groups into the attributes by which the rotation nodes turn the splats.
+    """Take over vertex groups into the attributes by which the rotation nodes turn the splats, where they differ.
 
-    Also follows changes of the armature: other bones, deform switched on or off, another armature in the modifier.
-    Raises InputError where the object follows no armature.
+    Also follows changes of the armature: other bones, deform switched on or off, another armature in the modifier. The
+    upkeep in `handlers.py` calls it after every edit. Raises InputError where the object follows no armature.
     """
     run_to_end(iter_update_rotation_weights(obj))
 
 
-def iter_update_rotation_weights(obj: bpy.types.Object) -> Steps[None]:
-    """`update_rotation_weights` in slices. Only the last one changes the scene.
+def iter_update_rotation_weights(obj: bpy.types.Object) -> Steps[bool]:
+    """`update_rotation_weights` in slices; whether anything was to be changed. Only the last one changes the scene.
 
     Raises InputError also where the object is deleted or changed meanwhile; nothing is written then.
     """
@@ -238,11 +246,22 @@ def iter_update_rotation_weights(obj: bpy.types.Object) -> Steps[None]:
 
     yield from _read(ref, bones, slice_rows(len(bones)), take)
     obj = ref.find()
-    frames = bind(obj, _armature_of(obj))
+    armature = _armature_of(obj)
+    changed = not turns_by(obj, bones, index, value)
+    frames = find_bone_frames(armature)
+    if not changed and frames is not None and frames_of(obj) == frames and rest_is_kept(obj):
+        return False
+    frames = ensure_bone_frames(armature)
+    modifier = armature_modifier(obj)
+    if find_rotation(obj) is None:
+        show_posed_in_edit_mode(modifier)
+    add_rotation(obj, frames, modifier)
     if any(bone_order(other) != bone_order(frames) for other in _frames_of_sharers(obj)):
         own_mesh(obj)  # the bones are stored by their number, which means another bone there
     write_influences(obj, bone_order(frames), bones, index, value)
-    mark_edited(obj, True)
+    if changed:
+        mark_edited(obj, True)
+    return True
 
 
 def mark_edited(obj: bpy.types.Object, edited: bool) -> None:

@@ -18,6 +18,6 @@ def expected_time(context: bpy.types.Context) -> str:
         return ""
     chosen = panel_settings(context)
     mesh = "mesh.npz" if proxy_mesh(context) is not None else ""
-    settings = JobSettings(guidance=chosen.guidance, init=chosen.init, preset=chosen.preset, mesh=mesh)
+    settings = JobSettings.parse({**chosen.as_job(), "options": {}, "mesh": mesh})
     bones = sum(bone.use_deform for bone in armature.data.bones)
     return in_words(estimate_seconds(settings, splat_count(splats), bones))

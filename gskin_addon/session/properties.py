@@ -27,6 +27,22 @@ _GUIDANCE = [
 _INITIAL = [(name, name.capitalize(), _INITIAL_TIPS.get(name, "")) for name in INITIAL_WEIGHTS]
 _FRONTS = [(name, name.upper(), "") for name in FRONTS]
 _DEFAULTS = JobSettings()
+_BROUGHT = ("init", "max_influences")
+"""Choices of the panel that some preset sets (`Preset.settings`)."""
+
+
+def _take_over(settings: GSkinSettings, context: bpy.types.Context) -> None:
+    """Another preset: show the choices that it brings along, which may be changed, and take back those of the last."""
+    for name in _BROUGHT:
+        was, brought = (getattr(settings, f"{name}_{when}") for when in ("before", "brought"))
+        if brought != was and getattr(settings, name) == brought:
+            setattr(settings, name, was)
+        now = getattr(settings, name)
+        new = PRESETS[settings.preset].settings.get(name, now)
+        setattr(settings, f"{name}_before", now)
+        setattr(settings, f"{name}_brought", new)
+        if new != now:
+            setattr(settings, name, new)
 
 
 class GSkinSettings(bpy.types.PropertyGroup):
@@ -54,6 +70,7 @@ class GSkinSettings(bpy.types.PropertyGroup):
         description="How much guidance is made and how long is learned from it",
         items=_PRESETS,
         default=DEFAULT_PRESET,
+        update=_take_over,
     )
     guidance: bpy.props.EnumProperty(
         name="Guidance",
@@ -82,11 +99,16 @@ class GSkinSettings(bpy.types.PropertyGroup):
     )
     max_influences: bpy.props.IntProperty(
         name="Max Influences",
-        description="The most bones that move one splat; game engines and glTF viewers expect 4",
+        description="The most bones that move one splat; game engines and glTF viewers expect 4. 0: no limit",
         default=_DEFAULTS.max_influences,
-        min=1,
+        min=0,
         max=4,
     )
+    # What the preset found and what it set; equal where it set nothing.
+    init_before: bpy.props.StringProperty(default=_DEFAULTS.init, options={"HIDDEN"})
+    init_brought: bpy.props.StringProperty(default=_DEFAULTS.init, options={"HIDDEN"})
+    max_influences_before: bpy.props.IntProperty(default=_DEFAULTS.max_influences, options={"HIDDEN"})
+    max_influences_brought: bpy.props.IntProperty(default=_DEFAULTS.max_influences, options={"HIDDEN"})
     seed: bpy.props.IntProperty(
         name="Seed",
         description="Choice of random poses; the same seed gives the same weights",

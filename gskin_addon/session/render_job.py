@@ -17,7 +17,8 @@ from ..core.files import read_arrays
 from ..core.job.progress import ProgressEvent
 from ..core.render.frame import Frame
 from ..core.render.output import Output
-from ..core.render.screen_space import camera_matrices
+from ..core.render.screen_space import camera_matrices, window_depths
+from ..core.render.triangles import depth_of_triangles
 from ..core.worker.frame_client import FrameClient
 from ..core.worker.own_python import own_python
 from ..scene.drawn import bare, read_drawn, rendered_splats
@@ -112,6 +113,8 @@ class RenderJob:
         for line in self.client.poll():
             if line["stage"] == "drawn":
                 self._keep()
+            elif line["stage"] == "compiling":
+                self.progress = ProgressEvent("render", 0.0, None, message="Compiling what draws, once")
             else:
                 self._tell(float(line["fraction"]))
         while self._drawing is None and self._next < len(self.frames):
@@ -145,7 +148,8 @@ class RenderJob:
         if not self.written:
             return f"Nothing was rendered{skipped}"
         count = "" if len(self.written) == 1 else f"{len(self.written)} frames up to "
-        return f"Splats rendered: {count}'{self.written[-1]}' ({seconds:.1f} s){skipped}"
+        by = ", by the processor, as the graphics card tells no depth" if self.on_gpu and self.depth else ""
+        return f"Splats rendered: {count}'{self.written[-1]}' ({seconds:.1f} s{by}){skipped}"
 
     def _begin(self, number: int) -> None:
         scene, view_layer = self._scene()
@@ -174,7 +178,7 @@ class RenderJob:
             drawn = [read_drawn(obj, depsgraph) for obj in splats]
             triangles = read_triangles(depsgraph, splats if self.hold_out else list(view_layer.objects))
         frame = Frame(drawn, camera, triangles, far)
-        return _drawn_here(frame) if self.on_gpu and not self.depth and not len(triangles) else frame
+        return drawn_by_shader(frame) if self.on_gpu and not self.depth else frame
 
     def _keep(self) -> None:
         """The process has written the frame in hand."""
@@ -201,13 +205,16 @@ class RenderJob:
         return scene, view_layer
 
 
-def _drawn_here(frame: Frame) -> Frame:
-    """The frame as drawn by the 3D view's shader; the other process has only to write it."""
+def drawn_by_shader(frame: Frame) -> Frame:
+    """The frame as drawn by the 3D view's shader; the other process has only to write it. Needs a GPU context."""
     from ..scene.viewport.drawing import draw_splats
 
     camera = frame.camera
     view, projection = camera_matrices(camera, frame.far)
-    picture = draw_splats(frame.objects, view, projection, camera.width, camera.height)
+    hiding = None
+    if len(frame.triangles):
+        hiding = window_depths(depth_of_triangles(frame.triangles, camera), projection)
+    picture = draw_splats(frame.objects, view, projection, camera.width, camera.height, depth=hiding)
     return Frame([], camera, frame.triangles, frame.far, picture)
 
 

@@ -16,8 +16,8 @@ class GSkinRender(bpy.types.PropertyGroup):
     )
     on_gpu: bpy.props.BoolProperty(
         name="Graphics Card",
-        description="Draw by the shader of the 3D view where no depth is wanted and nothing stands before the splats. "
-        "Blender stands still for the time of a redraw",
+        description="Draw by the shader of the 3D view where no depth is wanted. Blender stands still for the time of "
+        "a redraw",
         default=False,
     )
     depth: bpy.props.BoolProperty(

@@ -22,6 +22,7 @@ from ..core.job.lock import job_lock
 from ..core.job.mesh_files import mesh_file
 from ..core.job.progress import ProgressEvent
 from ..core.job.scope import Scope, scope_file
+from ..core.job.settings import JobSettings
 from ..core.skinning.edits.assign import normalise
 from ..core.skinning.initial import PRESENT
 from ..core.worker.client import WorkerClient
@@ -33,7 +34,7 @@ from ..scene.attributes import read_attribute, write_attribute
 from ..scene.binding import bind
 from ..scene.bone_frames import armature_of
 from ..scene.compared import iter_shown, keep
-from ..scene.fabric import iter_triangles, lay_under
+from ..scene.fabric import iter_fabric, lay_under
 from ..scene.object_ref import object_by_uid
 from ..scene.proxy_object import iter_write_weights_through
 from ..scene.seams import read_seams
@@ -105,6 +106,7 @@ class SkinJob:
             InputError: objects that cannot be skinned, an interpreter that cannot be started.
             GSkinError: the job folder cannot be written.
         """
+        chosen = JobSettings.parse(settings)
         skeleton = read_skeleton(armature)
         cloud = read_cloud(splats)
         files = {}
@@ -114,7 +116,7 @@ class SkinJob:
         else:
             # A mesh knows which parts belong together; loose splats need the artist's seams.
             scope = Scope(walls=read_seams(splats))
-            if only is not None and settings["guidance"] != DEFAULT_GUIDANCE:
+            if only is not None and chosen.guidance != DEFAULT_GUIDANCE:
                 present = normalise(read_weights(splats, skeleton.names)[0])
                 scope = Scope(present, np.flatnonzero(only), scope.walls)
                 scope = scope.checked(cloud.count, skeleton.count, f"'{splats.name}'")
@@ -148,7 +150,7 @@ class SkinJob:
             (splats.session_uid, splats.name),
             (armature.session_uid, armature.name),
             cloud.count,
-            int(settings["max_influences"]),
+            chosen.max_influences,
             None if proxy is None else (proxy.session_uid, proxy.name),
             anchored,
             folder is not None,
@@ -204,10 +206,10 @@ class SkinJob:
         name, words = armature.name, ""
         shared = said_of(splats, sharers(splats))
         options: dict[str, Any] = {"max_influences": self.max_influences, "confidence": result.confidence}
-        triangles = None
+        fabric = None
         if self.paintable and not proxies:
             bone = result.weights.argmax(axis=1)
-            triangles = yield from part_of(iter_triangles(splats, bone, armature), 0.0, 0.1)
+            fabric = yield from part_of(iter_fabric(splats, bone, armature), 0.0, 0.1)
         if proxies and self.anchored:
             if result.mesh_weights is None:
                 raise GSkinError("The worker gave no weights for the mesh; run Auto-Skin again.")
@@ -222,8 +224,8 @@ class SkinJob:
             elif result.start is not None:
                 options["start"] = str(result.report.get("start") or "initial weights"), result.start
             yield from iter_write_weights(splats, armature, result.weights, result.bones, **options)
-        if triangles is not None:
-            lay_under(splats, triangles)
+        if fabric is not None:
+            lay_under(splats, fabric)
         if not self.kept:
             shutil.rmtree(self.client.folder, ignore_errors=True)
         seconds = time.monotonic() - self.started

@@ -38,6 +38,8 @@ class GSKIN_PT_render(bpy.types.Panel):
         column.prop(settings, "hold_out")
         column.prop(settings, "depth")
         column.prop(settings, "on_gpu")
+        if settings.on_gpu and settings.depth:
+            column.label(text="With Depth the processor draws", icon="INFO")
         width, height = image_size(scene)
         note = layout.row()
         note.active = False

@@ -10,9 +10,10 @@ import bpy
 from ..scene import names
 from ..scene.anchored import proxy_of
 from ..scene.display_colors import SHOW_CONFIDENCE, SHOW_WEIGHTS_OF
+from ..scene.display_inputs import BY_SHADER, DISPLAY_INPUTS
 from ..scene.fabric import has_fabric
 from ..scene.node_builder import has_input, input_property
-from ..scene.node_groups import BY_SHADER, DISPLAY_INPUTS, find_display
+from ..scene.node_groups import find_display
 from ..scene.render import changes_colors
 from ..scene.viewport import switch
 from ..session.chosen import chosen_splats
@@ -25,6 +26,13 @@ _EDITS = (
     (("gskin.follow_neighbours", "Follow Neighbours"), ("gskin.mirror_weights", "Mirror")),
 )
 """Changes of the weights that are there, by operator and what its button says."""
+
+_SELECTS = (
+    (("gskin.select_by_bone", "By Bone"), ("gskin.select_by_color", "By Color")),
+    (("gskin.grow_splat_selection", "Grow"), ("gskin.shrink_splat_selection", "Shrink")),
+    (("gskin.select_linked_splats", "Linked"), ("gskin.select_in_front", "Front Side Only")),
+)
+"""Selections, in the same way."""
 
 
 class _Child:
@@ -67,8 +75,6 @@ class GSKIN_PT_display(_Child, bpy.types.Panel):
 
 def _draw_true_splats(context: bpy.types.Context, splats: bpy.types.Object, layout: bpy.types.UILayout) -> None:
     """The switch between splats and ellipsoids, and why there may be ellipsoids all the same."""
-    if switch.is_native(find_display(splats)):
-        return
     layout.prop(context.scene, "gskin_draw_splats")
     if not switch.setting(context.scene):
         return
@@ -82,9 +88,15 @@ def _draw_true_splats(context: bpy.types.Context, splats: bpy.types.Object, layo
         layout.operator("gskin.renew_display", icon="FILE_REFRESH")
 
 
+<<<<<<< HEAD
 class GSKIN_PT_skeleton(_Child, bpy.types.Panel):
     bl_idname = "GSKIN_PT_skeleton"
     bl_label = "Skeleton"
+=======
+class GSKIN_PT_select(_Child, bpy.types.Panel):
+    bl_idname = "GSKIN_PT_select"
+    bl_label = "Select"
+>>>>>>> main
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -93,12 +105,25 @@ class GSKIN_PT_skeleton(_Child, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         column = self.layout.column()
         column.enabled = state.job is None
+<<<<<<< HEAD
         for operator in ("gskin.fit_human", "gskin.fit_quadruped", "gskin.fit_bird"):
             column.operator(operator, icon="OUTLINER_OB_ARMATURE")
         row = column.row(align=True)
         row.operator_menu_enum("gskin.mark_landmark", "name", icon="EMPTY_AXIS")
         row.operator("gskin.clear_landmarks", text="", icon="X")
         column.operator("gskin.import_skeleton", text="Import Skeleton...", icon="IMPORT")
+=======
+        for pair in _SELECTS:
+            row = column.row(align=True)
+            for operator, text in pair:
+                row.operator(operator, text=tr(text, BUTTON))
+        if names.CONFIDENCE in chosen_splats(context).data.attributes:
+            row = column.row(align=True)
+            row.operator("gskin.select_unsure_splats", text=tr("Least Sure", BUTTON))
+            row.operator("gskin.next_unsure_cluster", text="", icon="TRIA_LEFT").step = -1
+            row.operator("gskin.next_unsure_cluster", text=tr("Worst Cluster", BUTTON)).step = 1
+            row.operator("gskin.next_unsure_cluster", text="", icon="TRIA_RIGHT").step = 1
+>>>>>>> main
 
 
 class GSKIN_PT_weights(_Child, bpy.types.Panel):
@@ -116,12 +141,14 @@ class GSKIN_PT_weights(_Child, bpy.types.Panel):
         row.operator("gskin.load_weights", text="Load...", icon="FILE_FOLDER")
         row.operator("gskin.save_weights", text="Save...", icon="FILE_TICK")
         column.operator("gskin.bind_to_armature", icon="LINKED")
-        column.operator("gskin.update_rotation_weights", icon="FILE_REFRESH")
         column.separator()
         for pair in _EDITS:
             row = column.row(align=True)
             for operator, text in pair:
                 row.operator(operator, text=tr(text, BUTTON))
+        row = column.row(align=True)
+        row.operator("gskin.transfer_weights", icon="IMPORT")
+        row.operator("gskin.transfer_weights_to_mesh", text="To Mesh", icon="EXPORT")
         row = column.row(align=True)
         row.operator("gskin.separate_parts", icon="MOD_EDGESPLIT")
         row.operator("gskin.select_seams", text="", icon="RESTRICT_SELECT_OFF")
@@ -166,4 +193,8 @@ class GSKIN_PT_hygiene(_Child, bpy.types.Panel):
         column.operator("gskin.clean_splats", icon="BRUSH_DATA")
 
 
+<<<<<<< HEAD
 CLASSES = (GSKIN_PT_display, GSKIN_PT_skeleton, GSKIN_PT_weights, GSKIN_PT_export, GSKIN_PT_hygiene)
+=======
+CLASSES = (GSKIN_PT_display, GSKIN_PT_select, GSKIN_PT_weights, GSKIN_PT_export, GSKIN_PT_hygiene)
+>>>>>>> main

@@ -19,6 +19,7 @@ from gskin_addon.core.rig.anchoring import pose_anchored
 from gskin_addon.core.rig.quaternion import matrix_to_quat, quat_multiply, quat_to_matrix
 from gskin_addon.scene.anchored import anchor_to_mesh, proxy_of, read_anchors, read_mesh, release
 from gskin_addon.scene.attributes import read_attribute, read_positions
+from gskin_addon.scene.proxy_object import posed_anchored
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud
 
 
@@ -69,12 +70,12 @@ def bend(proxy, rng, amount=0.02):
     key.value = 1.0
 
 
-def assert_follows(obj, proxy):
+def assert_follows(obj, proxy, **how):
     """Blender against `pose_anchored`: positions 1e-5 of the size, covariances 1e-4 of each splat's own."""
     means, quats, scales = evaluated_splats(obj)
     rest = read_cloud(obj, world=False)
     anchors, verts, faces = read_anchors(obj)
-    wanted = pose_anchored(rest, anchors, verts, posed_mesh(obj, proxy), faces)
+    wanted = pose_anchored(rest, anchors, verts, posed_mesh(obj, proxy), faces, **how)
     matrix = np.array(obj.matrix_world, dtype=np.float64)
     scale = np.cbrt(np.linalg.det(matrix[:3, :3]))
     there = wanted.means @ matrix[:3, :3].T + matrix[:3, 3]
@@ -105,6 +106,27 @@ def test_splats_follow_a_bent_mesh_with_rotation_and_shear():
     print("anchored: position, covariance error", *errors, "clamped", anchors.clamped.sum())
     np.testing.assert_allclose(ratio, 1, atol=0.02)
     assert np.abs(evaluated_splats(obj)[2] / read_cloud(obj).scales - 1).max() > 0.1  # it did shear
+
+
+def test_splats_on_a_larger_mesh_are_larger_in_all_directions():
+    verts, faces = tube()
+    proxy, obj = make_mesh(verts, faces), splats_on(verts, faces)
+    anchor_to_mesh(obj, proxy)
+    proxy.scale = (1.5, 1.5, 1.5)
+    np.testing.assert_allclose(evaluated_splats(obj)[2] / read_cloud(obj).scales, 1.5, rtol=1e-3)
+    assert_follows(obj, proxy)
+
+
+def test_the_edges_alone_may_say_how_a_mesh_deforms():
+    verts, faces = tube()
+    proxy, obj = make_mesh(verts, faces), splats_on(verts, faces)
+    anchor_to_mesh(obj, proxy, edges_only=True)
+    bend(proxy, np.random.default_rng(0))
+    assert_follows(obj, proxy, edges_only=True)
+    there = posed_anchored(obj).scales
+    np.testing.assert_allclose(np.sort(evaluated_splats(obj)[2]), np.sort(there), rtol=0.02)
+    anchor_to_mesh(obj, proxy)
+    assert np.abs(np.sort(posed_anchored(obj).scales) / np.sort(there) - 1).max() > 0.05
 
 
 def test_objects_may_lie_anywhere_and_move_apart():

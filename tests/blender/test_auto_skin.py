@@ -97,7 +97,7 @@ def test_settings_offer_what_the_core_has(scene):
     def offered(name: str) -> set[str]:
         return set(scene.gskin.bl_rna.properties[name].enum_items.keys())
 
-    assert offered("preset") == {"draft", "standard", "high", "paper"}
+    assert offered("preset") == {"draft", "standard", "high", "thorough", "paper"}
     assert "elastic" in offered("guidance")
     assert "oracle" not in offered("guidance")
     assert offered("init") == {"learned", "visibility", "geodesic", "heat"}

@@ -22,6 +22,7 @@ from pictures import read_picture
 
 from gskin_addon import cli
 from gskin_addon.core.errors import InputError
+from gskin_addon.core.job.scope import read_scope
 from gskin_addon.core.rig.quaternion import axis_angle_to_matrix
 from gskin_addon.core.rig.weights_file import read_weights_file
 from gskin_addon.core.splats.axes import rotate_cloud, up_rotation
@@ -29,7 +30,8 @@ from gskin_addon.core.splats.formats import read_splats, write_splats
 from gskin_addon.core.splats.ply import read_ply, write_ply
 from gskin_addon.core.worker.client import WorkerClient
 from gskin_addon.scene.bone_frames import armature_of
-from gskin_addon.scene.splat_object import is_splat_object
+from gskin_addon.scene.seams import read_seams
+from gskin_addon.scene.splat_object import is_splat_object, read_cloud
 from gskin_addon.session import skin_job
 
 
@@ -111,6 +113,28 @@ def rigged(files, tmp_path_factory):
 
 def run(*arguments: object) -> int:
     return cli.main([str(argument) for argument in arguments])
+
+
+def test_rig_with_walls_keeps_them_by_the_rows_of_the_file(files, tmp_path, pretended):
+    """Two splats of the file are invalid and dropped: the marks stay with the splats that had them."""
+    cloud = read_ply(files / "rod.ply").cloud
+    cloud.means[[0, 7], 0] = np.nan
+    write_ply(tmp_path / "rod.ply", cloud)
+    height = cloud.means[:, 2]
+    marked = np.flatnonzero(height > 1)
+    (tmp_path / "top.txt").write_text(" ".join(map(str, marked)))
+    words = ("--drop-invalid", "--walls", tmp_path / "top.txt", "--job-dir", tmp_path / "job", "--progress", "none")
+    rig = ("rig", tmp_path / "rod.ply", "--armature", files / "rig.blend", "--out", tmp_path / "o.blend", "--up", "z")
+    assert run(*rig, *words) == 0
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "o.blend"))
+    obj = next(obj for obj in bpy.data.objects if is_splat_object(obj))
+    labels = read_seams(obj)
+    means = read_cloud(obj).means
+    assert len(labels) == cloud.count - 2
+    assert np.array_equal(labels, np.where(means[:, 2] > 1, 1, 2))
+    (scope,) = (tmp_path / "job").glob("scope-*.npz")
+    assert np.array_equal(read_scope(scope, len(labels), 2).walls, labels)
+    assert "gskin walls" not in obj.data.attributes
 
 
 @only_with(*WORKER)
@@ -245,7 +269,7 @@ def test_a_worker_without_torch_exits_2(files, monkeypatch, tmp_path, capsys):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_interrupting_exits_130_and_leaves_nothing(number, files, tmp_path):
     out, job = tmp_path / "out.blend", tmp_path / "job"
-    command = [sys.executable, "-m", "gskin_addon.cli", "rig", str(files / "rod.ply"), "--preset", "paper"]
+    command = [sys.executable, "-m", "gskin_addon.cli", "rig", str(files / "rod.ply"), "--preset", "thorough"]
     command += ["--armature", str(files / "rig.blend"), "--out", str(out), "--job-dir", str(job)]
     process = interruptible(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None

@@ -18,7 +18,7 @@ from gskin_addon.scene.attributes import read_attribute, read_positions
 from gskin_addon.scene.cleanup import remove_splats
 from gskin_addon.scene.compared import compared, show_side
 from gskin_addon.scene.splat_object import create_splat_object
-from gskin_addon.scene.weights import read_weights, write_weights
+from gskin_addon.scene.weights import read_weights, update_rotation_weights, write_weights
 
 COUNT = 300
 RNG = np.random.default_rng(3)
@@ -96,7 +96,7 @@ def test_what_is_painted_on_either_side_stays_to_the_bit(splats, armature):
     mine.add([0, 7], 0.7, "REPLACE")
     splats.vertex_groups.active_index = splats.vertex_groups.find("upper")
     result, sure = groups_of(splats), read_attribute(splats.data, names.CONFIDENCE).copy()
-    bpy.ops.gskin.update_rotation_weights()
+    update_rotation_weights(splats)
     turn = turning(splats)
     show_side(splats, "before")
     assert groups_of(splats)[7]["Mine"] == pytest.approx(0.7)

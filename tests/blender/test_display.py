@@ -19,13 +19,14 @@ from gskin_addon.core.rig.quaternion import quat_to_matrix
 from gskin_addon.core.splats.cloud import SH_C0, SplatCloud
 from gskin_addon.scene import names
 from gskin_addon.scene.attributes import read_attribute, read_positions
+from gskin_addon.scene.display_inputs import NATIVE, OCTAHEDRA
+from gskin_addon.scene.display_nodes import VIEWPORT_SIGMAS
 from gskin_addon.scene.native_nodes import has_native_splats
 from gskin_addon.scene.node_builder import get_input, set_input
 from gskin_addon.scene.node_groups import (
-    NATIVE,
-    OCTAHEDRA,
-    VIEWPORT_SIGMAS,
     add_display,
+    display_group,
+    display_steps,
     find_display,
     get_display,
     set_display,
@@ -199,8 +200,32 @@ def test_one_group_and_one_modifier_however_often():
     add_display(first)
     assert len(first.modifiers) == 1
     assert first.modifiers[0].node_group == second.modifiers[0].node_group
-    assert len(bpy.data.node_groups) == 1
+    kinds = [group["gskin_group"] for group in bpy.data.node_groups]
+    assert len(kinds) == len(set(kinds))
+    assert kinds.count(find_display(first).node_group["gskin_group"]) == 1
     assert len(bpy.data.materials) == 2
+
+
+def test_the_nodes_are_built_in_small_slices():
+    """Blender looks at a whole tree after each node and link, so that one tree of 470 nodes took it a second."""
+    most, steps = 0, display_steps()
+    before = 0
+    for _ in steps:
+        now = sum(len(group.nodes) for group in bpy.data.node_groups)
+        most, before = max(most, now - before), now
+    assert max(len(group.nodes) for group in bpy.data.node_groups) <= 100
+    assert 0 < most <= 100
+    assert sum(len(group.nodes) for group in bpy.data.node_groups) - before <= 100
+    places = [tuple(node.location) for node in display_group().nodes]
+    assert len(set(places)) == len(places), "nodes lie upon one another"
+
+
+def test_an_import_that_ends_early_leaves_no_display_half_built():
+    steps = display_steps()
+    next(steps)
+    steps.close()
+    whole = create_splat_object(clouds.random_cloud(5, 0), "S")
+    assert len(drawn(whole).polygons) > 0
 
 
 def test_raised_bounces_never_fall():
@@ -210,6 +235,14 @@ def test_raised_bounces_never_fall():
     scene.cycles.transparent_max_bounces = 500
     prepare_scene(scene)
     assert scene.cycles.transparent_max_bounces == 500
+
+
+def test_views_get_the_samples_that_dithered_splats_need():
+    eevee = bpy.context.scene.eevee
+    for before, after in ((16, 32), (64, 64), (0, 0)):
+        eevee.taa_samples = before
+        prepare_scene(bpy.context.scene)
+        assert eevee.taa_samples == (after if has_native_splats() else before)
 
 
 def test_flecks_are_cleared_where_cycles_renders_and_never_brought_back():

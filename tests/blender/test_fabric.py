@@ -84,9 +84,17 @@ def test_without_a_display_nothing_is_seen(scene):
 
 def test_made_again_and_taken_away(scene):
     obj, _ = scene
+    cloud, weights = read_cloud(obj), read_weights(obj)[0]
     first = run_to_end(iter_make_fabric(obj))
     assert run_to_end(iter_make_fabric(obj)) == first == len(obj.data.polygons)
+    plain = obj.data.copy()
+    edges = {tuple(sorted(edge.vertices)) for edge in plain.edges}
+    plain.update(calc_edges=True)
+    assert len(edges) == len(plain.edges) == len(obj.data.edges), "the edges that Blender would find"
     strip_fabric(obj.data)
+    for name in ("means", "quats", "scales", "opacities", "sh"):
+        assert np.array_equal(getattr(read_cloud(obj), name), getattr(cloud, name)), name
+    assert np.array_equal(read_weights(obj)[0], weights)
     assert not has_fabric(obj)
     assert (len(obj.data.vertices), len(obj.data.edges)) == (COUNT, 0)
     assert bpy.ops.gskin.make_paintable() == {"FINISHED"}

@@ -11,8 +11,9 @@ import splat_clouds as clouds
 bpy = pytest.importorskip("bpy")
 
 import gskin_addon
+from gskin_addon.scene.display_inputs import OCTAHEDRA
 from gskin_addon.scene.node_builder import get_input
-from gskin_addon.scene.node_groups import OCTAHEDRA, find_display
+from gskin_addon.scene.node_groups import find_display
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud
 from gskin_addon.scene.weights import write_weights
 

@@ -23,6 +23,7 @@ from gskin_addon.core.splats.spz import write_spz
 from gskin_addon.scene.armature import read_skeleton
 from gskin_addon.scene.attributes import read_attribute
 from gskin_addon.scene.bone_frames import armature_of
+from gskin_addon.scene.fabric import has_fabric
 from gskin_addon.scene.gltf_export import export_glb
 from gskin_addon.scene.import_file import ImportOptions, import_steps
 from gskin_addon.scene.placement import up_of
@@ -194,8 +195,33 @@ def test_load_weights(rig, tmp_path):
     write_weights_file(tmp_path / "w.npz", weights, read_skeleton(armature))
     assert bpy.ops.gskin.load_weights(filepath=str(tmp_path / "w.npz")) == {"FINISHED"}
     np.testing.assert_allclose(read_weights(obj)[0], sparsify(weights, 4), atol=1e-6)
+    assert has_fabric(obj)
     rigs.random_pose(armature, rng)
     rigs.assert_same_pose(obj, armature)
+
+
+@pytest.mark.parametrize("wanted", [True, False])
+def test_binding_lays_a_fabric_if_that_is_wanted(rig, wanted):
+    """As Auto-Skin does; until now only Make Paintable did."""
+    obj, armature, _, rng = rig
+    bpy.context.scene.gskin.paintable = wanted
+    for bone in armature.data.bones:
+        obj.vertex_groups.new(name=bone.name).add(list(range(60)), rng.uniform(0.1, 1.0), "REPLACE")
+    assert bpy.ops.gskin.bind_to_armature() == {"FINISHED"}
+    assert has_fabric(obj) == wanted
+
+
+def test_weights_leave_and_come_back_as_rignets_text(rig, tmp_path):
+    """Bones whose names have spaces, which such a file has not."""
+    obj, armature, weights, _ = rig
+    armature.data.bones[1].name = "upper arm"
+    write_weights(obj, armature, weights)
+    before = read_weights(obj)[0]
+    assert bpy.ops.gskin.save_weights(filepath=str(tmp_path / "w.txt"), kind="RIGNET") == {"FINISHED"}
+    assert "upper_arm" in (tmp_path / "w.txt").read_text()
+    write_weights(obj, armature, weights[:, ::-1])
+    assert bpy.ops.gskin.load_weights(filepath=str(tmp_path / "w.txt")) == {"FINISHED"}
+    np.testing.assert_allclose(read_weights(obj)[0], before, atol=1e-5)
 
 
 def test_load_weights_of_other_splats(rig, tmp_path):
@@ -230,8 +256,6 @@ def test_bind_says_what_is_missing(rig):
     bpy.data.objects.remove(armature)
     with pytest.raises(RuntimeError, match="armature"):
         bpy.ops.gskin.bind_to_armature()
-    with pytest.raises(RuntimeError, match="follow an armature"):
-        bpy.ops.gskin.update_rotation_weights()
 
 
 def test_leaving_weight_paint_takes_the_weights_over(rig):

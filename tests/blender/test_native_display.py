@@ -14,11 +14,14 @@ import gskin_addon
 from gskin_addon.core.splats.cloud import SH_C0, SplatCloud
 from gskin_addon.scene import names
 from gskin_addon.scene.attributes import read_attribute, read_positions
+from gskin_addon.scene.display_inputs import BY_SHADER, NATIVE
 from gskin_addon.scene.native_nodes import NUDGE, has_native_splats
-from gskin_addon.scene.node_groups import BY_SHADER, NATIVE, find_display, get_display, set_display
+from gskin_addon.scene.node_builder import set_input
+from gskin_addon.scene.node_groups import find_display, get_display, set_display
 from gskin_addon.scene.posing import posed_cloud
 from gskin_addon.scene.rotation_nodes import find_rotation
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud, to_world
+from gskin_addon.scene.viewport import handler, switch
 from gskin_addon.scene.weights import write_weights
 from gskin_addon.session import readiness
 
@@ -117,6 +120,57 @@ def test_it_plays_without_python(rng):
         assert_same_splats(to_world(native_cloud(obj), obj), posed_cloud(obj))
         shown.append(native_cloud(obj).sh)
     assert np.abs(shown[0] - shown[1]).max() > 0.1
+
+
+def views():
+    """The 3D views of the window."""
+    areas = bpy.context.window_manager.windows[0].screen.areas
+    return [area.spaces.active for area in areas if area.type == "VIEW_3D"]
+
+
+def test_the_shader_draws_in_solid_mode_and_blender_elsewhere(rng, monkeypatch):
+    """The viewport gives bare points where the shader draws; renders have Blender's own splats all the same."""
+    bpy.ops.wm.read_factory_settings()
+    obj, _ = rigged(rng, 1)
+    gskin_addon.register()
+    try:
+        monkeypatch.setattr(switch, "wanted", switch.setting)
+        assert views()
+        switch.apply_to_all()
+        assert switch.is_drawn(obj)
+        assert len(obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data.edges) == 1
+        for kind in ("RENDERED", "MATERIAL"):
+            views()[0].shading.type = kind
+            assert switch.is_out_of_date()
+            handler._follow_views()
+            assert not switch.is_out_of_date()
+            assert not switch.is_drawn(obj)
+            assert_same_splats(to_world(native_cloud(obj), obj), posed_cloud(obj))
+            views()[0].shading.type = "SOLID"
+            assert switch.is_out_of_date()
+            handler._follow_views()
+            assert switch.is_drawn(obj)
+        set_display(obj, NATIVE, False)
+        views()[0].shading.type = "RENDERED"
+        switch.apply_to_all()
+        assert switch.is_drawn(obj), "there are no splats of Blender's to give way to"
+    finally:
+        gskin_addon.unregister()
+
+
+def test_a_render_has_native_splats_while_the_shader_draws_the_view(rng):
+    """Of the nodes alone: what an object that bakes the render's geometry would see."""
+    obj, _ = rigged(rng, 0)
+    set_input(find_display(obj), BY_SHADER, True)
+    bpy.context.view_layer.update()
+    assert obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).evaluated_geometry().pointcloud is None
+    group = find_display(obj).node_group
+    viewport = next(node for node in group.nodes if node.bl_idname == "GeometryNodeIsViewport")
+    for link in list(viewport.outputs[0].links):
+        place = link.to_socket
+        group.links.remove(link)
+        place.default_value = 0  # as a render has it
+    assert_same_splats(to_world(native_cloud(obj), obj), posed_cloud(obj))
 
 
 def test_colours_by_bones_are_seen_from_everywhere(rng):

@@ -19,6 +19,7 @@ import pretend
 import worker_jobs as jobs
 
 from gskin_addon.core.files import write_png
+from gskin_addon.core.job.settings import JobSettings
 from gskin_addon.core.rig.influences import Influences
 from gskin_addon.core.rig.weights_file import read_weights_file
 from gskin_addon.scene import names, rig_fit
@@ -420,6 +421,9 @@ def test_a_running_job_shows_its_newest_pictures(scene, tmp_path):
     write_png(tmp_path / "previews" / "guidance.png", np.zeros((8, 8, 3)))
     first = live_pictures.icons(tmp_path)
     assert [name for name, _ in first] == ["Guidance"]
+    # Pixels given by hand, and so read by no job of Blender's, each of which would draw all 3D views again.
+    first_shown = live_pictures._loaded["guidance"]
+    assert first_shown.is_image_custom
     assert live_pictures.icons(tmp_path) == first, "read again only when it is another"
     write_png(tmp_path / "previews" / "weights.png", np.ones((8, 8, 3)))
     lines = drawn()
@@ -430,6 +434,16 @@ def test_a_running_job_shows_its_newest_pictures(scene, tmp_path):
     live_pictures.icons(tmp_path)
     shown = live_pictures._loaded["guidance"]
     assert tuple(shown.image_size) == (4, 6), "a picture of the same second is another one"
+    assert np.allclose(np.array(shown.image_pixels_float).reshape(6, 4, 4)[..., :3], 0.5, atol=0.01)
+    high = np.zeros((600, 30, 3))
+    high[300:] = (1.0, 0.5, 0.0)  # the lower half, which Blender has first
+    write_png(tmp_path / "previews" / "guidance.png", high)
+    live_pictures.icons(tmp_path)
+    shown = live_pictures._loaded["guidance"]
+    assert tuple(shown.image_size) == (10, 200)
+    pixels = np.array(shown.image_pixels_float).reshape(200, 10, 4)
+    assert np.allclose(pixels[0, 0], (1.0, 0.5, 0.0, 1.0), atol=0.01)
+    assert np.allclose(pixels[-1, -1], (0.0, 0.0, 0.0, 1.0))
     running_job.end("done")
     assert live_pictures._loaded is None
     assert not [line for line in drawn() if line.startswith("picture")]
@@ -504,7 +518,6 @@ def test_the_weights_panel_has_a_click_for_each_way(scene, splats, armature):
         ("even_scale", "have an even scale"),
         ("save_weights", "follow an armature"),
         ("export_glb", "follow no armature"),
-        ("update_rotation_weights", "follow an armature"),
         ("anchor_to_mesh", "name it as Proxy Mesh"),
         ("release_from_mesh", "follow a mesh"),
         ("select_unsure_splats", "how sure they are"),
@@ -517,7 +530,7 @@ def test_what_cannot_work_now_says_why(scene, operator, words):
         click()
 
 
-@pytest.mark.parametrize("operator", ["load_weights", "bind_to_armature", "update_rotation_weights", "save_weights"])
+@pytest.mark.parametrize("operator", ["load_weights", "bind_to_armature", "save_weights"])
 def test_weights_wait_for_the_end_of_edit_mode(scene, splats, armature, operator):
     bind(splats, armature)
     bpy.context.view_layer.objects.active = splats
@@ -556,6 +569,22 @@ def test_settings_are_kept_as_a_preset(scene, tmp_path, monkeypatch):
     assert bpy.ops.script.execute_preset(filepath=str(kept), menu_idname=menu) == {"FINISHED"}
     assert (scene.gskin.guidance, scene.gskin.preset, scene.gskin.max_influences) == ("elastic", "high", 3)
     assert bpy.types.GSKIN_PT_job_presets.preset_subdir == bpy.types.GSKIN_OT_job_preset_add.preset_subdir
+
+
+def test_a_preset_shows_what_it_brings_and_takes_it_back(scene):
+    chosen = scene.gskin
+    chosen.preset = "paper"
+    assert (chosen.init, chosen.max_influences) == ("visibility", 0)
+    assert JobSettings.parse(chosen.as_job()) == JobSettings.parse({"preset": "paper"})
+    chosen.preset = "high"
+    assert (chosen.init, chosen.max_influences) == ("learned", 4)
+    # What a person chose stays.
+    chosen.init, chosen.max_influences = "geodesic", 2
+    chosen.preset = "paper"
+    chosen.init = "heat"
+    assert JobSettings.parse(chosen.as_job()).init == "heat"
+    chosen.preset = "standard"
+    assert (chosen.init, chosen.max_influences) == ("heat", 2)
 
 
 def test_saved_weights_are_loaded_again(scene, splats, armature, tmp_path):

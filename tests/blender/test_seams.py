@@ -147,3 +147,31 @@ def test_refine_selected_changes_the_selection_alone(scene):
     select(splats, np.zeros(200, bool))
     with pytest.raises(RuntimeError, match="No splats of 'Rod' are selected"):
         bpy.ops.gskin.refine_selected()
+
+
+def test_a_seam_frees_both_sides_and_cuts_the_fabric(scene):
+    splats, _armature, weights = scene
+    top = weights[:, 3] > 0
+    wrong = weights.copy()
+    low = np.flatnonzero(weights[:, 0] > 0)
+    wrong[low[::2]] = [0.25, 0, 0, 0.75]  # the last bone drags every other splat of the first
+    write_weights(splats, scene[1], wrong, [bone[0] for bone in CHAIN])
+    bpy.ops.gskin.make_paintable()
+    splats.vertex_groups["bone 1"].lock_weight = True
+    select(splats, top)
+    bpy.ops.gskin.separate_parts(reach=5.0, free=False)
+    assert np.array_equal(read_weights(splats)[0], wrong), "only marked"
+    labels = read_seams(splats)
+    edges = np.array([edge.vertices[:] for edge in splats.data.edges])
+    sides = labels[edges]
+    assert len(edges)
+    assert not ((sides[:, 0] != sides[:, 1]) & (sides != 0).all(axis=1)).any()
+    select(splats, top)
+    bpy.ops.gskin.separate_parts(reach=5.0)
+    after = read_weights(splats)[0]
+    other = read_seams(splats) == read_seams(splats).max()
+    assert other[low].mean() > 0.8
+    assert (wrong[other, 3] > 0).sum() > 10
+    assert after[other, 3].max() == 0
+    np.testing.assert_allclose(after[other].sum(axis=1), 1, atol=1e-5)
+    assert np.array_equal(after[top], wrong[top])

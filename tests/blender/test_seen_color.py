@@ -15,8 +15,9 @@ bpy = pytest.importorskip("bpy")
 from gskin_addon.core.splats.sh import eval_sh
 from gskin_addon.scene import names
 from gskin_addon.scene.attributes import read_attribute, read_positions
+from gskin_addon.scene.display_inputs import NATIVE, OCTAHEDRA
 from gskin_addon.scene.node_builder import get_input, has_input, set_input
-from gskin_addon.scene.node_groups import NATIVE, OCTAHEDRA, add_display, find_display, set_display
+from gskin_addon.scene.node_groups import add_display, find_display, set_display
 from gskin_addon.scene.octahedra import octahedra_count
 from gskin_addon.scene.posing import posed_cloud
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud

@@ -20,11 +20,9 @@ from gskin_addon.core.rig.colors import weight_colors
 from gskin_addon.core.rig.lbs import sparsify
 from gskin_addon.core.rig.quaternion import quat_to_matrix
 from gskin_addon.core.splats.sh import eval_sh, rotate_sh
+from gskin_addon.scene.display_inputs import BY_SHADER, NATIVE, OCTAHEDRA
 from gskin_addon.scene.node_builder import get_input, has_input
 from gskin_addon.scene.node_groups import (
-    BY_SHADER,
-    NATIVE,
-    OCTAHEDRA,
     add_display,
     find_display,
     get_display,

@@ -20,10 +20,12 @@ from splat_clouds import random_cloud
 import gskin_addon
 from gskin_addon import cli
 from gskin_addon.commands import parser, render, rig
+from gskin_addon.commands.job_settings import job_settings
 from gskin_addon.commands.pose import parse_turns
 from gskin_addon.core.errors import Cancelled, GSkinError, InputError, Stopped
 from gskin_addon.core.job.progress import ProgressEvent
 from gskin_addon.core.job.progress_text import ProgressPrinter, describe
+from gskin_addon.core.job.settings import JobSettings
 from gskin_addon.core.splats.formats import read_splats
 from gskin_addon.core.splats.ply import write_ply
 
@@ -50,7 +52,7 @@ def one_sentence(text: str) -> bool:
         ["rig", "a.ply", "--armature", "r.glb"],
         ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--preset", "hasty"],
         ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--guidance", "magic"],
-        ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--max-influences", "0"],
+        ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--max-influences", "-1"],
         ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--seed", "-1"],
         ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--max-aspect", "0.5"],
         ["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", "--field", "grid"],
@@ -206,6 +208,44 @@ def test_parsing_of_turns_and_guidance_options():
         parse_turns([["arm", "1", "much", "3"]])
     given = rig.parse_options(["weights=/a=b.npz", "steps=3", "soft=true"])
     assert given == {"weights": "/a=b.npz", "steps": 3, "soft": True}
+
+
+def settings_of(*arguments):
+    """The job that a command asks for, checked."""
+    options = parser.build().parse_args(["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", *arguments])
+    return JobSettings.parse(job_settings(options, {}))
+
+
+def test_what_is_not_given_is_as_the_preset_says():
+    plain, paper = settings_of(), settings_of("--preset", "paper")
+    assert plain == JobSettings()
+    assert (paper.init, paper.max_influences, paper.losses["arap_neighbours"]) == ("visibility", 0, 30)
+    given = ["--preset", "paper", "--init", "heat", "--max-influences", "3", "--views", "6", "--loss", "anchor=0.5"]
+    changed = settings_of(*given, "--field-option", "start=prior", "--field-option", "resolution=64")
+    assert (changed.init, changed.max_influences, changed.views) == ("heat", 3, 6)
+    assert changed.losses == {"anchor": 0.5, "arap_neighbours": 30, "arap_nodes": 0}
+    assert changed.field_options == {"start": "prior", "resolution": 64}
+    assert settings_of("--max-influences", "0").max_influences == 0
+    assert settings_of("--field-option", "resolutions=[8,16]").field_options == {"resolutions": [8, 16]}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--loss", "arap"], "--loss 'arap' is not NAME=VALUE"),
+        (["--loss", "rigid=1"], "no option rigid; they have arap, coupling"),
+        (["--loss", "arap=much"], "loss option arap is 'much'; use a number"),
+        (["--loss", "arap_neighbours=0"], "arap_neighbours is 0"),
+        (["--loss", "arap=NaN"], "losses has a number that is too large or none"),
+        (["--field-option", "=3"], "--field-option '=3' is not NAME=VALUE"),
+        (["--field-option", "resolution=64"], "'pyramid' has no option resolution; it has resolutions"),
+        (["--field", "volume", "--field-option", "resolution=65"], "resolution is 65; it must be a power of 2"),
+    ],
+)
+def test_wrong_losses_and_field_options_are_one_sentence(arguments, words):
+    with pytest.raises(InputError, match=words) as refused:
+        settings_of(*arguments)
+    assert one_sentence(str(refused.value) + "\n")
 
 
 def guidance_of(*arguments):

@@ -83,6 +83,15 @@ class Glb:
         """(joints, 4, 4): global transform of each joint times its inverse bind matrix."""
         return self.world(time)[self.joints(node)] @ self.inverse_bind(node)
 
+    def posed(self, node: int, time: float | None = None) -> np.ndarray:
+        """Points (N, 3) of a skinned mesh's node as a viewer moves them that reads all sets of joints; z up."""
+        found = self.attributes(node)
+        joints = np.concatenate([found[name] for name in sorted(found) if name.startswith("JOINTS_")], axis=1)
+        weights = np.concatenate([found[name] for name in sorted(found) if name.startswith("WEIGHTS_")], axis=1)
+        points = np.c_[found["POSITION"], np.ones(len(joints))]
+        moved = np.einsum("nk,nkij,nj->ni", weights, self.joint_matrices(node, time)[joints.astype(int)], points)
+        return moved[:, :3] @ np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+
 
 def decode_attributes(positions: np.ndarray, attributes: dict[str, np.ndarray]) -> SplatCloud:
     """The cloud of the attributes that `encode_attributes` makes."""

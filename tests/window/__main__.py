@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 from blenders import SUITES, Blender, find_blenders
 from installing import check_repository
-from judging import Check, judge
+from judging import Check, judge, judge_strokes
 from offscreen import VERSION, check_viewport
 from splat_pictures import judge_splats
 from version_venv import Missing, make
@@ -41,16 +41,18 @@ def main() -> int:
     parser.add_argument("--background", action="store_true", help="only what needs no window")
     parser.add_argument("--viewport", action="store_true", help=f"only the 3D view of bpy {VERSION}")
     parser.add_argument("--splats", action="store_true", help="only the drawing of splats in windows")
+    parser.add_argument("--strokes", action="store_true", help="only weight tools by mouse")
     parser.add_argument("--pictures", action="store_true", help="renew docs/images")
     options = parser.parse_args()
     splats, rig = sample(options.demo.absolute(), rigged=not options.splats)
+    part = options.background or options.splats or options.strokes
     blenders = [] if options.viewport else find_blenders(options.suite)
     verdicts: dict[str, list[Check] | str] = {}
     for blender in blenders:
         out = fresh(options.out.absolute() / f"window-{blender.name}")
         print(f"\nBlender of {blender.name}", flush=True)
         verdicts[f"Blender of {blender.name}"] = play(blender, out, splats, rig, options)
-    if not (options.background or options.splats or options.suite or os.environ.get("BLENDER")):
+    if not (part or options.suite or os.environ.get("BLENDER")):
         verdicts[f"3D view of bpy {VERSION}"] = check_viewport(fresh(options.out.absolute() / "viewport"), splats)
     print()
     for name, checks in verdicts.items():
@@ -79,10 +81,15 @@ def play(blender: Blender, out: Path, splats: Path, rig: Path, options: argparse
         return [("Blender installs the extension", False, "its words are above")]
     if options.splats:
         return play_splats(blender, out / "splats", splats, environment)
+    if options.strokes:
+        return play_strokes(blender, out / "strokes", splats, rig, environment)
     plain = [blender.program, "-b", "--python-exit-code", "1", "--python", str(ROOT / "tests/window/background.py")]
     if blender.run([*plain, "--", "--out", str(out), "--splats", str(splats)], environment, LONGEST) != 0:
         return [("the extension works without a window", False, "Blender's words are above")]
     first: list[Check] = [("the extension works without a window", True, ""), check_repository(blender, out, LONGEST)]
+    loose = [*plain[:-1], str(ROOT / "tests/window/loose_actions.py"), "--", "--out", str(out / "loose")]
+    owners = blender.run(loose, environment, LONGEST)
+    first.append(("loose actions of other rigs stay out of a .glb", owners == 0, "Blender's words are above"))
     if options.background:
         return first
     session = [
@@ -100,6 +107,7 @@ def play(blender: Blender, out: Path, splats: Path, rig: Path, options: argparse
     if code != 0:
         checks.append(("Blender ends well", False, f"exit code {code}"))
     checks += play_splats(blender, out / "splats", splats, environment)
+    checks += play_strokes(blender, out / "strokes", splats, rig, environment)
     if options.pictures and all(good for _, good, _ in checks):
         images = ROOT / "docs" / "images"
         images.mkdir(parents=True, exist_ok=True)
@@ -124,6 +132,20 @@ def play_splats(blender: Blender, out: Path, splats: Path, environment: dict[str
     if checks is None:
         return [("the splats' session comes to its end", False, f"Blender ended with {code}; its words are above")]
     return checks if code == 0 else [*checks, ("Blender ends well after drawing splats", False, f"exit code {code}")]
+
+
+def play_strokes(blender: Blender, out: Path, splats: Path, rig: Path, environment: dict[str, str]) -> list[Check]:
+    """Blender's weight tools and ours on the sample, by mouse; pictures below `out`."""
+    session = [
+        *("xvfb-run", "-a", "-s", SCREEN, blender.program),
+        *("--window-geometry", "0", "0", "1600", "900", "--python", str(ROOT / "tests/window/strokes.py"), "--"),
+        *("--out", str(fresh(out)), "--splats", str(splats), "--rig", str(rig)),
+    ]
+    code = blender.run(session, environment, LONGEST)
+    checks = judge_strokes(out)
+    if checks is None:
+        return [("the strokes' session comes to its end", False, f"Blender ended with {code}; its words are above")]
+    return checks if code == 0 else [*checks, ("Blender ends well after strokes", False, f"exit code {code}")]
 
 
 def build_zip(out: Path) -> Path:

@@ -16,6 +16,8 @@ SPLATS = ("01_panel", "03_progress_60", "04_done", "05_posed", "06_posed_clean",
 """Pictures that must show the character."""
 MOVED = (("04_done", "05_posed"), ("06_posed_clean", "08_reloaded"))
 """Pairs between which the character has moved."""
+PAINTED = ("k00_posed", "k01_weight_paint", "k02_painted", "k05_back", "k06_edit")
+"""Pictures of strokes.py that must show the figure."""
 FILLED, COLOURS, MOVED_SHARE = 0.1, 10_000, 0.03
 """Least share of a view that is not background and least number of its colours; least share that a pose changes."""
 
@@ -52,6 +54,28 @@ def judge(out: Path) -> list[Check] | None:
     left = [line for line in left if line and "pgrep" not in line and "sh -c" not in line]
     checks = [*map(tuple, result["checks"]), ("closing Blender stops the worker", not left, "; ".join(left))]
     checks += check_pictures(out, result["views"])
+    print_checks(checks)
+    for name, value in result["numbers"].items():
+        print(f"{name:>28}  {value:.4g}")
+    return checks
+
+
+def judge_strokes(out: Path) -> list[Check] | None:
+    """Print what was checked and measured of strokes.py; None where the session did not come to its end."""
+    path = out / "result.json"
+    if not path.is_file():
+        return None
+    result = json.loads(path.read_text())
+    checks: list[Check] = [*map(tuple, result["checks"])]
+    views = result["views"]
+    for name in PAINTED:
+        good = name in views
+        seen = look(read(out / f"{name}.png", views[name])) if good else None
+        checks.append((f"picture {name} shows a figure", good and seen.filled > 0.03 and seen.colours > 500, str(seen)))
+    for before, after in (("k00_posed", "k01_weight_paint"), ("k01_weight_paint", "k02_painted")):
+        if before in views and after in views:
+            share = changed(*(read(out / f"{name}.png", views[before]) for name in (before, after)))
+            checks.append((f"{before} and {after} differ", share > 0.001, f"{share:.2%}"))
     print_checks(checks)
     for name, value in result["numbers"].items():
         print(f"{name:>28}  {value:.4g}")

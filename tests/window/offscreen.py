@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The 3D view of bpy 5.3, drawn off screen by viewport.py and judged: for a Blender that no Debian has yet."""
+"""The 3D view of bpy 5.3, drawn off screen by viewport.py and judged: for a Blender that no Debian has yet.
+
+And frames of *Render Splats* by the shader (shader_frames.py).
+"""
 
 from __future__ import annotations
 
@@ -41,6 +44,9 @@ def check_viewport(out: Path, splats: Path) -> list[Check] | str:
         checks.append((f"bpy {VERSION}: {name}.png shows {'no' if name == 'empty' else 'the'} splats", good, str(seen)))
     share = changed(*(read(out / f"{name}.png") for name in ("rest", "posed")))
     checks.append((f"bpy {VERSION}: the picture changes with the pose", share > MOVED_SHARE, f"{share:.0%}"))
+    command[-1] = str(ROOT / "tests/window/shader_frames.py")
+    good = subprocess.call(command, env=environment, cwd=ROOT, timeout=600) == 0
+    checks.append((f"bpy {VERSION}: Render Splats by the shader is the rasteriser's picture", good, "see above"))
     print_checks(checks)
     return checks
 

@@ -10,7 +10,7 @@ import traceback
 from collections import Counter
 from collections.abc import Callable, Generator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import bpy
 from pace import Pace
@@ -22,6 +22,16 @@ Wait = float | Callable[[], Any]
 Story = Generator[Wait, None, None]
 
 
+class Beat(NamedTuple):
+    """When, in which chapter, and what the main thread had taken and waited for by then: seconds of processor time, and
+    seconds in which it could have run but had no processor, because others had them all."""
+
+    at: float
+    chapter: str
+    busy: float
+    waited: float
+
+
 class Stage:
     """Runs a story from Blender's timers, and writes what came of it to `out`/result.json."""
 
@@ -31,7 +41,7 @@ class Stage:
         self.checks: list[tuple[str, bool, str]] = []
         self.numbers: dict[str, float] = {}
         self.views: dict[str, tuple[int, int, int, int]] = {}
-        self.beats: list[tuple[float, str, float]] = []
+        self.beats: list[Beat] = []
         self.chapter = ""
         self.redraws: Counter[str] = Counter()
         self._story: Story | None = None
@@ -65,24 +75,29 @@ class Stage:
 
     def chapter_times(self, chapter: str) -> tuple[float, float]:
         """The first and the last beat of a chapter; zeros where it had none."""
-        times = [at for at, name, _ in self.beats if name == chapter]
+        times = [beat.at for beat in self.beats if beat.chapter == chapter]
         return (times[0], times[-1]) if times else (0.0, 0.0)
 
     def gaps(self, chapter: str) -> list[float]:
         """Seconds between beats of which the later one fell in `chapter`."""
-        pairs = zip(self.beats, self.beats[1:], strict=False)
-        return [late - early for (early, _, _), (late, name, _) in pairs if name == chapter]
+        return [late.at - early.at for early, late in self._pairs(chapter)]
+
+    def own_gaps(self, chapter: str) -> list[float]:
+        """The same without the time in which the main thread could have gone on, had others left it a processor."""
+        return [late.at - early.at - (late.waited - early.waited) for early, late in self._pairs(chapter)]
 
     def busy(self, chapter: str) -> list[float]:
         """Seconds of processor time that Blender's main thread took between the same beats."""
-        pairs = zip(self.beats, self.beats[1:], strict=False)
-        return [late - early for (_, _, early), (_, name, late) in pairs if name == chapter]
+        return [late.busy - early.busy for early, late in self._pairs(chapter)]
+
+    def _pairs(self, chapter: str) -> list[tuple[Beat, Beat]]:
+        return [pair for pair in zip(self.beats, self.beats[1:], strict=False) if pair[1].chapter == chapter]
 
     def _redrawn(self) -> None:
         self.redraws[self.chapter] += 1
 
     def _beat(self) -> float | None:
-        self.beats.append((time.monotonic(), self.chapter, time.thread_time()))
+        self.beats.append(Beat(time.monotonic(), self.chapter, time.thread_time(), waited()))
         try:
             while self._ready():
                 self._wait = next(self._story)
@@ -114,11 +129,20 @@ class Stage:
         bpy.ops.wm.quit_blender()
 
 
+def waited() -> float:
+    """Seconds for which this thread has waited for a processor so far; 0 where the system does not tell."""
+    try:
+        return int(Path("/proc/thread-self/schedstat").read_text().split()[1]) / 1e9
+    except (OSError, IndexError, ValueError):
+        return 0.0
+
+
 class Hands:
     """The mouse, the keyboard and a camera, outside of Blender. `views` gets where each picture has its 3D view."""
 
     def __init__(self, out: Path, view: View, views: dict[str, tuple[int, int, int, int]]) -> None:
         self.out, self.view, self.views = out, view, views
+        self.pressed = 0.0
 
     def keys(self, *names: str) -> Story:
         """Press keys by their X names, one after the other."""
@@ -142,6 +166,19 @@ class Hands:
         middle = [(a + b) // 2 for a, b in zip(start, end, strict=True)]
         words += ["mousemove", *map(str, middle), "sleep", "0.1", "mousemove", *map(str, end), "sleep", "0.2"]
         yield from self._run("xdotool", *words, "mouseup", "1")
+
+    def stroke(self, points: list[tuple[int, int]]) -> Story:
+        """A brush stroke through the points; `pressed` is when the button went down."""
+        yield from self._run("xdotool", "mousemove", *map(str, points[0]), "sleep", "0.3")
+        self.pressed = time.monotonic()
+        words = ["mousedown", "1", "sleep", "0.1"]
+        for point in points[1:]:
+            words += ["mousemove", *map(str, point), "sleep", "0.05"]
+        yield from self._run("xdotool", *words, "sleep", "0.2", "mouseup", "1")
+
+    def wheel(self, notches: int) -> Story:
+        """Turn the mouse wheel down."""
+        yield from self._run("xdotool", "click", "--repeat", str(notches), "--delay", "60", "5")
 
     def shoot(self, name: str) -> Story:
         """A picture of the whole screen."""
@@ -206,3 +243,20 @@ class View:
             if operator in manager.clipboard:
                 return x, y
         return None
+
+    def find_buttons(self, hands: Hands, prefix: str) -> Generator[Wait, None, dict[str, tuple[int, int]]]:
+        """Where in the side bar the buttons of the operators are whose names begin so, two to a row at most."""
+        manager, region = bpy.context.window_manager, self.region("UI")
+        found: dict[str, tuple[int, int]] = {}
+        for y in range(self.window.height - region.y - region.height + 40, self.window.height - region.y, 11):
+            for share in (0.3, 0.7):
+                x = region.x + round(share * region.width)
+                yield from hands.move(x, y)
+                manager.clipboard = ""
+                with self.override("UI"):
+                    if bpy.ops.ui.copy_python_command_button.poll():
+                        bpy.ops.ui.copy_python_command_button()
+                name = manager.clipboard.removeprefix("bpy.ops.").partition("(")[0]
+                if name.startswith(prefix):
+                    found.setdefault(name, (x, y))
+        return found

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..render.camera import Camera
-from ..rig.kinematics import joints_posed, pose_transforms
+from ..rig.kinematics import pose_transforms
 from ..rig.poses import random_poses
+from ..rig.segments import bone_segments
 from ..rig.skeleton import Skeleton
 
 MOVED_PIXELS = 1.0
@@ -50,11 +51,13 @@ def control_points(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Pixel positions (K, 2) of the joints that the pose displaces: at rest (handles) and posed (targets).
 
-    Joints are the bones' heads and tails; a joint that two bones share counts once. Those that move by
-    less than `MOVED_PIXELS` or stand behind the camera are left out.
+    Joints are where bones begin and end (`bone_segments`, so no tail that an importer made up is one); a joint that
+    two bones share counts once. Those that move by less than `MOVED_PIXELS` or stand behind the camera are left out.
     """
-    rest = np.concatenate([skeleton.heads, skeleton.tails])
-    posed = np.concatenate(joints_posed(skeleton, transforms))
+    segments = bone_segments(skeleton)
+    rest = np.concatenate([skeleton.heads, segments.ends])
+    turned = np.concatenate([transforms, transforms[segments.bone]])
+    posed = np.einsum("jrc,jc->jr", turned[:, :3, :3], rest) + turned[:, :3, 3]
     handles, targets = camera.project(rest)[0], camera.project(posed)[0]
     moved = np.linalg.norm(targets - handles, axis=1) > MOVED_PIXELS  # NaN (behind the camera) is False
     pairs = np.concatenate([handles, targets], axis=1)[moved]

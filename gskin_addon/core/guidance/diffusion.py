@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The run of every diffusion provider: renders and masks in, composited images out, resumable image by image.
 
-A provider gives a `Painter`; this loop gives it frames of one view at a time, keeps what is outside the dynamic
+A provider gives a `Painter`; this loop gives it frames of one view at a time, keeps what is outside the painting
 mask, saves each finished image in the job's checkpoint folder, and checks after every denoising step whether the user
 wants to stop.
 """
@@ -23,7 +23,7 @@ from ..files import write_png
 from ..render.rasterizer import render_cloud
 from ..rig.lbs import skin_cloud
 from .control import ControlSignal
-from .mask import dynamic_mask
+from .mask import MASK_VERSION, painting_mask
 from .provider import GuidanceContext, to_bytes
 
 if TYPE_CHECKING:
@@ -130,7 +130,8 @@ class DiffusionGuidance:
         rest = self._rest[signal.view]
         moved = skin_cloud(context.cloud, context.initial, signal.transforms, rotate_sh=False)
         posed = render_cloud(moved, signal.camera, context.background)[0]
-        return Frame(signal, rest, posed, dynamic_mask(rest, posed), image_seed(context.seed, number))
+        mask = painting_mask(rest, posed, signal.handles, signal.targets)
+        return Frame(signal, rest, posed, mask, image_seed(context.seed, number))
 
     def _saved_at(self, number: int, signal: ControlSignal) -> Path:
         folder = self._context.checkpoint or Path()
@@ -158,7 +159,7 @@ class DiffusionGuidance:
 
 
 def composite(frame: Frame, image: NDArray[Any]) -> NDArray[np.uint8]:
-    """`image` (H, W, 3), in [0, 1] or uint8, inside the dynamic mask, the rest view outside.
+    """`image` (H, W, 3), in [0, 1] or uint8, inside the painting mask, the rest view outside.
 
     Raises:
         GSkinError: the image has values that are not finite, as half precision gives on some cards.
@@ -240,7 +241,7 @@ def choose_offload(offload: str, device: torch.device, resident: float, largest:
 def _digest(identity: Mapping[str, Any], context: GuidanceContext) -> bytes:
     """Everything that an image depends on, except its own signal."""
     digest = hashlib.blake2b(digest_size=16)
-    known = {"seed": context.seed, "background": list(context.background), **identity}
+    known = {"mask": MASK_VERSION, "seed": context.seed, "background": list(context.background), **identity}
     digest.update(json.dumps(known, sort_keys=True).encode())
     cloud = context.cloud
     for array in (cloud.means, cloud.quats, cloud.scales, cloud.opacities, cloud.sh, context.initial):

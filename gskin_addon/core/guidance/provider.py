@@ -46,11 +46,17 @@ class GuidanceContext:
 class Provider(Protocol):
     """Turns control signals into guidance images.
 
-    A module offers it as `create(context) -> Provider`, which raises InputError when something is missing.
+    A module offers it as `create(context) -> Provider`, which raises InputError when something is missing. It may
+    have `facts`, a table of plain values that go into the job's report; see `facts_of`.
     """
 
     def images(self, signals: Sequence[ControlSignal]) -> Iterator[NDArray[np.uint8]]:
         """One image (H, W, 3) uint8 sRGB per signal, in order, made as it is asked for."""
+
+
+def facts_of(provider: Provider) -> dict[str, Any]:
+    """What a provider says about the images that it made; empty for one that says nothing."""
+    return dict(getattr(provider, "facts", {}))
 
 
 def to_bytes(image: NDArray[Any]) -> NDArray[np.uint8]:

@@ -14,6 +14,7 @@ from ..files import is_plain_name
 from ..guidance import DEFAULT_GUIDANCE, GUIDANCE, NO_GUIDANCE
 from ..guidance.options import check_options
 from ..render.backends import AUTO, BACKENDS
+from ..render.camera import VIEW_COUNTS
 from ..skinning.fields import WEIGHT_FIELDS
 from ..skinning.fields import check_options as check_field_options
 from ..skinning.initial import DEFAULT_INITIAL, INITIAL_WEIGHTS, PRESENT, needs_masks
@@ -41,10 +42,11 @@ _DEPTH = 8
 
 @dataclass(frozen=True)
 class JobSettings:
-    """Settings of job.json.
+    """Settings of job.json. What a job leaves out is as its preset says (`Preset.settings`), else as here.
 
     preset, guidance, init: names in their registries; max_influences: bones per splat in the result, 0 for
-    no limit; seed: of all randomness; front: a key of FRONTS; options: the guidance provider's own;
+    no limit; seed: of all randomness; front: a key of FRONTS; views: from how many sides guidance images are taken,
+    one of VIEW_COUNTS; options: the guidance provider's own;
     init_options: those of the initial weights, {"model": path} for learned ones;
     field: a name in WEIGHT_FIELDS or PRESET_FIELD; field_options: the weight field's own; mesh: name of a
     file in the job's folder with a proxy mesh in the same world space, whose vertices get the weights and carry the
@@ -60,6 +62,7 @@ class JobSettings:
     max_influences: int = 4
     seed: int = 0
     front: str = "-y"
+    views: int = 4
     options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     init_options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     field: str = PRESET_FIELD
@@ -93,7 +96,7 @@ class JobSettings:
         for name, value in values.items():
             _check_plain(name, value)
             CHECKS[name](name, value)
-        settings = cls(**values)
+        settings = cls(**preset_by_name(values.get("preset", DEFAULT_PRESET)).completed(values))
         if settings.init == PRESENT and not settings.scope:
             raise InputError("The job's init is 'present', but it has no scope with present weights; write the scope.")
         with _naming("init_options"):
@@ -151,6 +154,12 @@ def _whole(name: str, value: Any) -> None:
         raise InputError(f"The job's {name} is {_shown(value)}; it must be a whole number from 0 up.")
 
 
+def _view_count(name: str, value: Any) -> None:
+    if isinstance(value, bool) or value not in VIEW_COUNTS or not isinstance(value, int):
+        counts = ", ".join(str(count) for count in VIEW_COUNTS)
+        raise InputError(f"The job's {name} is {_shown(value)}; choose one of {counts}.")
+
+
 def _table(name: str, value: Any) -> None:
     if not isinstance(value, Mapping) or not all(isinstance(key, str) for key in value):
         raise InputError(f"The job's {name} are {_shown(value)}; they must be a table of names and values.")
@@ -171,6 +180,7 @@ CHECKS: dict[str, Check] = {
     "max_influences": _whole,
     "seed": _whole,
     "front": _one_of(FRONTS),
+    "views": _view_count,
     "options": _table,
     "init_options": _table,
     "field": _one_of((PRESET_FIELD,), WEIGHT_FIELDS),

@@ -107,6 +107,11 @@ class Eta:
         work = self._kinds[kind]
         work.done = min(work.done + pieces, work.pieces)
 
+    def skip_rest(self, kind: str) -> None:
+        """What is left of a kind need not be done; of one that the run does not have, nothing is."""
+        if kind in self._kinds:
+            self.skip(kind, self._kinds[kind].pieces)
+
     def forget(self) -> None:
         """Ignore the time since the last piece: it was spent on something that does not recur."""
         self._lap()

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from ..guidance import create_provider
 from ..guidance.control import ControlSignal, make_signals
-from ..guidance.provider import GuidanceContext, to_bytes
+from ..guidance.provider import GuidanceContext, facts_of, to_bytes
 from ..render.backends import choose_backend
-from ..render.camera import PAPER_AZIMUTHS, Camera
+from ..render.camera import Camera
 from ..rig.skeleton import Skeleton
 from ..skinning.fields import create_field
 from ..skinning.geodesic import body_distances
@@ -35,7 +35,7 @@ from .steps import JobInputs
 from .work_kinds import rendering_kinds
 
 TRIAL_POSES = 8
-"""Poses of each view in a try-out. A view renders what it sees in any of them: with 6 the try-outs of `paper` took
+"""Poses of each view in a try-out. A view renders what it sees in any of them: with 6 the try-outs of `thorough` took
 0.40 s, with 15 they took 0.60 s, the run itself 0.5 s an iteration."""
 
 LIVE_SIZE = 256
@@ -61,7 +61,7 @@ class Learned:
 def work_kinds(job: JobInputs, splats: int) -> dict[str, tuple[int, float]]:
     """The kinds of work of a job on `splats` splats that renders; see `Eta`."""
     chosen = job.settings
-    return rendering_kinds(chosen.guidance, chosen.preset, len(PAPER_AZIMUTHS), splats, job.skeleton.count)
+    return rendering_kinds(chosen, splats, job.skeleton.count)
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,9 +124,10 @@ class GuidedStage:
     ) -> Learned:
         """Weights of the nodes from the images of the job's guidance.
 
-        poser: from a try-out; nodes (M, B): its nodes' initial weights; initial (S, B): those of the subset's splats;
-        confidence (M,) in the nodes' initial weights, or None; movable (M,): nodes that may change, all if left out;
-        on_splats: from weights (M, B) of the nodes to those (S, B) of the subset's splats, to show them.
+        cameras: the first of them, as many as the job's views, are those of the images; poser: from a try-out; nodes
+        (M, B): its nodes' initial weights; initial (S, B): those of the subset's splats; confidence (M,) in the nodes'
+        initial weights, or None; movable (M,): nodes that may change, all if left out; on_splats: from weights (M, B)
+        of the nodes to those (S, B) of the subset's splats, to show them.
         """
         chosen, preset, eta = self.job.settings, self.preset, self.eta
         eta.report("guidance", "Distances through the body")
@@ -145,9 +146,10 @@ class GuidedStage:
             checkpoint=self.job.checkpoint,
             tick=lambda done, message: eta.report("guidance", message),
         )
-        signals = make_signals(skeleton, list(cameras), preset.poses_per_view, np.random.default_rng(chosen.seed))
+        views = list(cameras[: chosen.views])
+        signals = make_signals(skeleton, views, preset.poses_per_view, np.random.default_rng(chosen.seed))
         # Poses of their own, from their own seed: the others stay the same whatever is held out.
-        unseen = make_signals(skeleton, list(cameras), preset.held_out, np.random.default_rng([chosen.seed, 1]))
+        unseen = make_signals(skeleton, views, preset.held_out, np.random.default_rng([chosen.seed, 1]))
         begin = partial(
             Optimiser,
             subset.cloud,
@@ -158,12 +160,14 @@ class GuidedStage:
                 losses=self.losses,
                 confidence=confidence,
                 movable=movable,
+                prune=preset.prune,
                 seed=chosen.seed,
                 rasterizer=self.rasterizer,
             ),
         )
         pictures = LivePictures(self.job.folder)
-        targets = make_guidance(create_provider(chosen.guidance, context), [*signals, *unseen], eta, pictures)
+        provider = create_provider(chosen.guidance, context)
+        targets = make_guidance(provider, [*signals, *unseen], eta, pictures)
         eta.end_stage("guidance")
 
         optimiser = begin(targets[: len(signals)], preset, held_out=targets[len(signals) :])
@@ -174,15 +178,17 @@ class GuidedStage:
                 "weights", lambda: weights_picture(subset.cloud, on_splats(optimiser.weights()), small)
             )
 
-        history = optimise(optimiser, eta, self.job.checkpoint, watch)
+        history, fitted = optimise(optimiser, eta, self.job.checkpoint, watch)
         eta.end_stage("optimise")
         report = {
             "field": self._field_name(),
             "guidance_images": len(signals),
+            **facts_of(provider),
             "iterations": optimiser.iteration,
             "stopped": optimiser.stop.reason or "the schedule is done",
             "held_out": [{"iteration": at, "render": loss} for at, loss in optimiser.stop.history],
             "losses": history,
+            **({"fit": fitted} if fitted else {}),
         }
         return Learned(optimiser.weights(), signals, targets, report, weight_field.query)
 
@@ -204,8 +210,11 @@ class GuidedStage:
     ) -> Poser:
         chosen, preset, eta = self.job.settings, self.preset, self.eta
         eta.report("prepare", "Trying out an iteration")
-        weight_field = create_field(self._field_name(), poser.nodes, rough, chosen.field_options)
-        signals = make_signals(skeleton, list(cameras), TRIAL_POSES, np.random.default_rng(chosen.seed))
+        # However a field finds its start, it is not tried out.
+        options = {name: value for name, value in chosen.field_options.items() if name not in ("start", "fit_steps")}
+        weight_field = create_field(self._field_name(), poser.nodes, rough, options)
+        views = list(cameras[: chosen.views])
+        signals = make_signals(skeleton, views, TRIAL_POSES, np.random.default_rng(chosen.seed))
         rest = [to_bytes(image) for image in images]
         at_rest = [Target(s.camera, s.transforms, rest[s.view]) for s in signals]
         trial = Optimiser(
@@ -215,8 +224,8 @@ class GuidedStage:
             at_rest,
             preset,
             poser=poser,
-            options=LearningOptions(losses=self.losses, rasterizer=self.rasterizer),
+            options=LearningOptions(losses=self.losses, prune=preset.prune, rasterizer=self.rasterizer),
         )
-        try_out(trial, eta, len(cameras) * preset.poses_per_view)
+        try_out(trial, eta, len(views) * preset.poses_per_view)
         eta.end_stage("prepare")
         return poser

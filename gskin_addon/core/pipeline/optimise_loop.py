@@ -23,7 +23,7 @@ from ..skinning.views import Target
 from .eta import Eta
 from .live_pictures import LivePictures
 from .previews import guidance_picture
-from .work_kinds import checks_of, learning_kind, visibility_kind
+from .work_kinds import FIT, checks_of, learning_kind, visibility_kind
 
 TRIALS = 3
 """Iterations timed at each size before anything is learned: a single one may be off by a fifth."""
@@ -75,8 +75,9 @@ def make_guidance(
 
 def optimise(
     optimiser: Optimiser, eta: Eta, checkpoint: Path, watch: Callable[[], bool] = lambda: False
-) -> list[dict[str, float]]:
-    """Run to the end, from the checkpoint if there is one; returns the losses of about 50 iterations.
+) -> tuple[list[dict[str, float]], dict[str, float]]:
+    """Run to the end, from the checkpoint if there is one; returns the losses of about 50 iterations, and what the
+    field says of its start (`WeightField.fit`), if this process made it.
 
     watch: called after each iteration, for those who draw the weights now and then; true where it took time.
     """
@@ -85,6 +86,7 @@ def optimise(
     if remark:
         eta.report("optimise", remark)
     _skip_done(optimiser, eta)
+    fitted = {} if optimiser.iteration else _fit(optimiser, eta)
     checks, every = checks_of(optimiser.preset), max(1, iterations // 50)
     slow = _first_visits(optimiser.preset, len(optimiser.targets))
     saved, cost = time.monotonic(), 0.0
@@ -114,12 +116,28 @@ def optimise(
         if watch():
             eta.forget()
     optimiser.use_best()
-    return history
+    return history, fitted
+
+
+def _fit(optimiser: Optimiser, eta: Eta) -> dict[str, float]:
+    """Bring the field to the initial weights."""
+    eta.forget()
+
+    def tick(done: float) -> None:
+        eta.record_up_to(FIT, done)
+        eta.report("optimise", "Fitting the field to the initial weights")
+
+    fitted = optimiser.field.fit(tick)
+    if fitted:
+        eta.skip_rest(FIT)
+    return fitted
 
 
 def _skip_done(optimiser: Optimiser, eta: Eta) -> None:
     """Count as done what was done before a stop."""
     reached, optimiser.iteration = optimiser.iteration, 0
+    if reached:
+        eta.skip_rest(FIT)
     for number in range(reached):
         optimiser.iteration = number
         size = optimiser.size_now()

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..guidance.control import ControlSignal
-from ..guidance.mask import dynamic_mask
+from ..guidance.mask import painting_mask
 from ..render.camera import Camera
 from ..render.rasterizer import render_cloud
 from ..rig.colors import weight_colors
@@ -32,7 +32,7 @@ def preview_images(
     targets: Sequence[Target],
 ) -> dict[str, Image]:
     """`weights`: splats in their bones' colours, from all cameras; `guidance`: for some poses the control
-    points, the dynamic mask, the guidance image, and the splats posed with initial and learned weights; left out
+    points, the painting mask, the guidance image, and the splats posed with initial and learned weights; left out
     where there was no guidance."""
     sheet = np.concatenate([weights_picture(cloud, weights, camera) for camera in cameras], axis=1)
     if not signals:
@@ -43,7 +43,7 @@ def preview_images(
         rest = render_cloud(cloud, signal.camera)[0]
         before = render_cloud(skin_cloud(cloud, initial, signal.transforms), signal.camera)[0]
         after = render_cloud(skin_cloud(cloud, weights, signal.transforms), signal.camera)[0]
-        mask = dynamic_mask(rest, before)
+        mask = painting_mask(rest, before, signal.handles, signal.targets)
         shaded = rest * np.where(mask, 1.0, 0.6)[..., None]
         control = draw_points(shaded, signal.handles, signal.targets)
         rows.append(np.concatenate([control, target.image / 255.0, before, after], axis=1))

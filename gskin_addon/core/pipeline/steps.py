@@ -15,10 +15,11 @@ from ..errors import InputError
 from ..job.scope import Scope, read_scope
 from ..job.settings import FRONTS, JobSettings
 from ..render.backends import AUTO, resolve_backend
-from ..render.camera import Camera, paper_views, percentile_bounds
+from ..render.camera import PAPER_AZIMUTHS, Camera, evaluation_views, paper_views, percentile_bounds
 from ..rig.influences import Influences
 from ..rig.lbs import sparsify
 from ..rig.skeleton import Skeleton
+from ..skinning.edits.keep_apart import keep_apart
 from ..skinning.extent import unit_frame
 from ..skinning.initial import PRESENT, initial_with_start
 from ..skinning.subset import SplatSubset, follow_nearest
@@ -106,8 +107,12 @@ def to_unit_size(cloud: SplatCloud, skeleton: Skeleton) -> tuple[SplatCloud, Ske
 
 
 def guidance_cameras(job: JobInputs, cloud: SplatCloud) -> list[Camera]:
-    """The paper's views around splats in unit size."""
-    return paper_views(*percentile_bounds(cloud.means), GUIDANCE_SIZE, front=FRONTS[job.settings.front])
+    """The paper's four views around splats in unit size, and two more where the job asks for six.
+
+    Masks are taken from all of them, guidance images from the first `views` (`JobSettings`).
+    """
+    around = evaluation_views if job.settings.views > len(PAPER_AZIMUTHS) else paper_views
+    return around(*percentile_bounds(cloud.means), GUIDANCE_SIZE, front=FRONTS[job.settings.front])
 
 
 def rest_pictures(
@@ -163,7 +168,7 @@ def initial_weights(
         walls=job.scope.walls,
         tick=tick,
     )
-    return keep_present(job.scope, weights), confidence, start
+    return keep_present(job.scope, _apart(job, splats, weights)), confidence, start
 
 
 def keep_present(scope: Scope, weights: Weights) -> Weights:
@@ -174,10 +179,17 @@ def keep_present(scope: Scope, weights: Weights) -> Weights:
     return weights
 
 
+def _apart(job: JobInputs, splats: PreparedSplats, weights: Weights) -> Weights:
+    """Weights (N, B) that do not cross the job's walls: ways around them are open to every method."""
+    if job.scope.walls is None:
+        return weights
+    return keep_apart(weights, splats.cloud.means, job.scope.walls, splats.skeleton)[0]
+
+
 def finish_weights(job: JobInputs, splats: PreparedSplats, weights: Weights) -> Weights:
     """The final weights (N, B) of a job: bad splats follow their nearest neighbour, the number of bones per splat is
     limited, and splats that may not change have their present weights."""
-    weights = follow_nearest(splats.cloud.means, weights, splats.ignored)
+    weights = _apart(job, splats, follow_nearest(splats.cloud.means, weights, splats.ignored))
     if job.settings.max_influences:
         weights = sparsify(weights, job.settings.max_influences)
     return keep_present(job.scope, weights)

@@ -22,6 +22,10 @@ PAPER_AZIMUTHS = {"front": 0.0, "back": 180.0, "front_left": 45.0, "front_right"
 """Degrees from the front towards the object's own left."""
 
 EVALUATION_AZIMUTHS = {**PAPER_AZIMUTHS, "left": 90.0, "right": -90.0}
+"""The paper's four, and two more."""
+
+VIEW_COUNTS = (1, 2, 4, 6)
+"""How many of these views, from the first on, guidance images may be taken of: the paper's ablation."""
 
 _UP = np.array([0.0, 0.0, 1.0])
 

@@ -27,7 +27,7 @@ class Frame:
     """What is drawn: splats, the camera, and the triangles (T, 3, 3), world, of what hides splats.
 
     far: metres along the camera's z at which the picture ends. picture (H, W, 4): drawn elsewhere, premultiplied sRGB
-    and alpha, in place of all else but the camera.
+    and alpha, in place of the objects.
     """
 
     objects: Sequence[DrawnSplats]
@@ -43,10 +43,11 @@ def draw_frame(frame: Frame, on_progress: Callable[[float], None] | None = None)
     By the numba kernels where this Python has numba, else in numpy.
     """
     camera = frame.camera
+    others = depth_of_triangles(frame.triangles, camera)
+    hidden = np.isfinite(others) & (others <= frame.far)
     if frame.picture is not None:
         color, alpha = frame.picture[..., :3], frame.picture[..., 3]
-        return Picture(color, alpha, np.full(alpha.shape, np.inf, np.float32)), np.zeros(alpha.shape, np.bool_)
-    others = depth_of_triangles(frame.triangles, camera)
+        return Picture(color, alpha, np.full(alpha.shape, np.inf, np.float32)), hidden
     limit = np.minimum(others, np.float32(frame.far))
     if frame.objects:
         parts = [(*in_world(splats), splats.opacities, colors_seen(splats, camera)) for splats in frame.objects]
@@ -61,7 +62,7 @@ def draw_frame(frame: Frame, on_progress: Callable[[float], None] | None = None)
         from .cpu.still import draw
 
         picture = draw(*splats, camera, limit)
-    return picture, np.isfinite(others) & (others <= frame.far)
+    return picture, hidden
 
 
 def in_world(splats: DrawnSplats) -> tuple[Array, Array, Array]:

@@ -66,6 +66,15 @@ def prepare(
     return scene
 
 
+def has_to_compile() -> bool:
+    """Whether the first picture of `render_cloud` waits until the CPU's kernels are compiled, which is kept."""
+    if importlib.util.find_spec("numba") is None:
+        return False
+    from .cpu import blend, compiled
+
+    return not compiled.is_compiled(blend.forward_tiles)
+
+
 def view_colors(cloud: SplatCloud, camera: Camera) -> Array:
     """Colours (N,3) of the splats as the camera sees them: SH along the direction from it to each mean."""
     rays = cloud.means - camera.center.astype(np.float32)

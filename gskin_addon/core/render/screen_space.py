@@ -46,6 +46,16 @@ def camera_matrices(camera: Camera, far: float = 1000.0) -> tuple[NDArray[np.flo
     return view, projection
 
 
+def window_depths(depth: Array, projection: ArrayLike) -> Array:
+    """Window depths, 0 near to 1 far, of metres along the axis of view; what is infinitely far is farthest."""
+    P = np.asarray(projection, np.float64)
+    away = np.where(np.isfinite(depth), depth, 1.0).astype(np.float64)
+    ndc = P[2, 3] - P[2, 2] * away
+    if not is_orthographic(P):
+        ndc = ndc / away
+    return np.where(np.isfinite(depth), 0.5 * ndc + 0.5, 1.0).astype(np.float32)
+
+
 def project(points: Array, projection: ArrayLike, size: tuple[int, int]) -> tuple[Array, Array]:
     """Pixels (N, 2) from the upper left corner and depths (N,) of points (N, 3) in view axes; size: (height, width)."""
     P, (height, width) = np.asarray(projection, np.float64), size

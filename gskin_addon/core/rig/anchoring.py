@@ -163,13 +163,14 @@ def pose_anchored(
     faces: Array,
     *,
     rotate_sh: bool = True,
+    edges_only: bool = False,
 ) -> SplatCloud:
     """The cloud on the posed mesh: centres by Eq. 4, covariances by Eq. 5, SH turned by the rotation of each T.
 
-    verts, posed_verts (V, 3); faces (F, 3). The general covariance T Sigma T^T comes back as rotation and scales,
-    axes in the order of the rest splats.
+    verts, posed_verts (V, 3); faces (F, 3); edges_only: see `vertex_maps.rest_rings`. The general covariance
+    T Sigma T^T comes back as rotation and scales, axes in the order of the rest splats.
     """
-    rotation, shear = vertex_transforms(verts, posed_verts, faces)
+    rotation, shear = vertex_transforms(verts, posed_verts, faces, edges_only=edges_only)
     maps = splat_maps(anchors, rotation, shear, faces)
     quats, scales = transform_gaussians(cloud.quats, cloud.scales, maps)
     sh = cloud.sh

@@ -15,7 +15,7 @@ from ..splats.sh import rotate_sh as rotate_coefficients
 from .bendy import BendyBone
 from .covariance import transform_gaussians
 from .quaternion import matrix_to_quat, nearest_rotation, normalize, quat_multiply, quat_to_matrix
-from .stretch import RIGID, polar, second_moments, size, stretched_maps, unevenness
+from .stretch import RIGID, polar, second_moments, size, spread, stretched_maps, unevenness
 
 Array = NDArray[Any]
 
@@ -113,6 +113,7 @@ def local_deform(
     dominant = np.argmax(weights, axis=1)
     leading = quats[dominant]
     uneven = np.where(weights > 0, unevenness(transforms[:, :3, :3])[1], 0)
+    lengths, held = np.tile(size(transforms[:, :3, :3]), (len(weights), 1)), weights > 0
     found = []
     for bone, bend in bends.items():
         rows = np.flatnonzero(weights[:, bone] > 0)
@@ -121,7 +122,7 @@ def local_deform(
             found.append((rows, weights[rows, bone], *part))
             leads = dominant[rows] == bone
             leading[rows[leads]] = part[2][leads]
-            uneven[rows, bone] = part[3]
+            uneven[rows, bone], lengths[rows, bone] = part[3], part[4]
     weights[:, list(bends)] = 0
     blended = (weights @ transforms[:, :3, :].reshape(-1, 12)).reshape(-1, 3, 4)
     maps = blended[:, :, :3].copy()
@@ -134,7 +135,8 @@ def local_deform(
         sign = np.where(np.einsum("nk,nk->n", leading[rows], quat) < 0, -weight, weight)
         turn[rows] += sign[:, None] * quat
         moments[rows] += (weight * sizes)[:, None, None] * quat[:, :, None] * quat[:, None, :]
-    return means, *stretched_maps(maps, normalize(turn), moments, uneven.max(axis=1))
+    apart = np.maximum(uneven.max(axis=1), spread(lengths, held))
+    return means, *stretched_maps(maps, normalize(turn), moments, apart)
 
 
 def stretch_rows(

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The nearest triangle of a mesh to every point, exactly, in numpy alone (Blender's Python has no scipy).
 
-A bounding-volume hierarchy over the triangles, descended by all points side by side: a greedy
-descent gives every point an upper bound, the second one keeps the (point, box) pairs that can beat it.
+The triangles with the nearest centres give every point an upper bound; a bounding-volume hierarchy over all triangles,
+descended by all points side by side, keeps the (point, box) pairs that can beat it.
 """
 
 from __future__ import annotations
@@ -12,11 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .nearest_points import nearest_points
 from .triangles import closest_barycentric
 
 Array = NDArray[Any]
 
 _WIDTH = 8  # children per box
+_CENTRES = 4  # triangles that give the bound
 _CHUNK = 20_000
 _PAIRS = 3_000_000
 _TIE = 1e-9
@@ -49,16 +51,14 @@ class _Search:
         far = np.concatenate([points, [lower, upper]])
         self.tie = _TIE * float(np.linalg.norm(far.max(axis=0) - far.min(axis=0)))
         self.levels = [(self.corner.min(axis=1), self.corner.max(axis=1))]
-        self.centres = [self.corner.mean(axis=1)]
+        self.centres = self.corner.mean(axis=1)
         while len(self.levels[-1][0]) > _WIDTH:
             low, high = self.levels[-1]
             starts = np.arange(0, len(low), _WIDTH)
             self.levels.append((np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts)))
-            sizes = np.diff(np.append(starts, len(low)))[:, None]
-            self.centres.append(np.add.reduceat(self.centres[-1], starts) / sizes)
 
     def query(self, points: Array) -> Array:
-        bound = self._greedy(points)
+        bound = self._bound(points)
         who, box = self._children(len(points))
         for level in range(len(self.levels) - 1, -1, -1):
             near = self._box_distance(level, points[who], box)
@@ -86,17 +86,13 @@ class _Search:
         result: Array = face[chosen[first]]
         return result
 
-    def _greedy(self, points: Array) -> Array:
-        """(N,) distances to a triangle that is nearly the nearest."""
-        at = np.zeros(len(points), dtype=np.int64)
-        for level in range(len(self.levels) - 1, -1, -1):
-            count = len(self.levels[level][0])
-            start = at * _WIDTH if level < len(self.levels) - 1 else at
-            boxes = np.minimum(start[:, None] + np.arange(_WIDTH), count - 1)
-            # By centres: a point lies inside many boxes at once, all at distance zero.
-            away = np.square(self.centres[level][boxes] - points[:, None]).sum(axis=2)
-            at = np.take_along_axis(boxes, away.argmin(axis=1)[:, None], axis=1)[:, 0]
-        return self._distance(points, at)[0]
+    def _bound(self, points: Array) -> Array:
+        """(N,) distances to a triangle that is nearly the nearest: the best of those whose centres are nearest."""
+        index = nearest_points(self.centres, points, min(_CENTRES, len(self.centres)))[1]
+        bound = np.full(len(points), np.inf)
+        for k in range(index.shape[1]):
+            np.minimum(bound, self._distance(points, index[:, k])[0], out=bound)
+        return bound
 
     def _children(self, count: int) -> tuple[Array, Array]:
         top = len(self.levels[-1][0])

@@ -48,6 +48,13 @@ class BoneSegments:
             np.minimum(out[:, bone], distance[:, column], out=out[:, bone])
         return out
 
+    def add_up(self, weights: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Weights of the segments (N, S) as weights of the bones (N, B): the sum of each bone."""
+        out = np.zeros((len(weights), int(self.bone.max()) + 1), weights.dtype)
+        for column, bone in enumerate(self.bone):
+            out[:, bone] += weights[:, column]
+        return out
+
 
 def bone_segments(skeleton: Skeleton) -> BoneSegments:
     """From each joint to the next, as the paper defines a bone (Sec. III-A), for any skeleton.

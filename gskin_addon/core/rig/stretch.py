@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How a blend of bone transforms that stretch, and not only turn, maps the space around each splat. numpy only.
 
-Rotations alone are blended by Eq. 3. Where a bone of a splat is scaled, sheared, mirrored or bent, the splat follows
-the local linear map of the deformation: turned by the map's own rotation, and stretched. Bones that are scaled evenly
-are no reason to leave Eq. 3. What a linear blend of different rotations loses in size (the joint that collapses) is no
-stretch of anybody's and is given back.
+Rotations alone are blended by Eq. 3. Where a bone of a splat is sheared, mirrored, bent, or scaled by another factor
+than its others, the splat follows the local linear map of the deformation: turned by the map's own rotation, and
+stretched. Bones that are all scaled evenly by one factor are no reason to leave Eq. 3. What a linear blend of different
+rotations loses in size (the joint that collapses) is no stretch of anybody's and is given back.
 """
 
 from __future__ import annotations
@@ -60,6 +60,14 @@ def unevenness(maps: Array) -> tuple[Array, Array]:
     return np.maximum(own, np.linalg.det(maps) < 0), even
 
 
+def spread(sizes: Array, weights: Array) -> Array:
+    """How far the sizes (N, B) of the bones that have weight (N, B) are apart: largest over smallest, less 1; (N,)."""
+    held = np.asarray(weights) > 0
+    largest = np.where(held, sizes, 0).max(axis=1)
+    smallest = np.where(held, sizes, np.inf).min(axis=1)
+    return np.asarray(np.where(held.any(axis=1), largest / np.maximum(smallest, 1e-12), 1) - 1)
+
+
 def second_moments(weights: Array, quats: Array) -> Array:
     """sum_b w_b q_b q_b^T, (N, 4, 4), for weights (N, B) and unit quaternions (B, 4); signs do not matter."""
     outer = quats[:, :, None] * quats[:, None, :]
@@ -73,8 +81,8 @@ def stretched_maps(maps: Array, turn: Array, moments: Array, uneven: Array) -> t
 
     maps (N, 3, 3): the blended local maps J. turn (N, 4): the blended rotation of Eq. 3. moments (N, 4, 4): of the
     quaternions that were blended (`second_moments`), weights times `size` of the bones' maps. uneven (N,): how far the
-    bones of each splat are from rotations times a scale; 0 gives R = turn, and where J blends rotations Q_b times
-    scales s_b, S = sum_b w_b s_b.
+    bones of each splat are from rotations times one scale; 0 gives R = turn. Where J blends rotations Q_b times scales
+    s_b, S = sum_b w_b s_b, whatever R is.
 
     R is the rotation of J, S = (R^T J)_sym + K, and K what blending the rotations lost: the sum of
     w_b s_b (I - (R^T Q_b)_sym).

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ..rig.segments import bone_segments
 from ..rig.skeleton import Skeleton
 
 
@@ -29,16 +30,18 @@ class Coupling:
 def prepare_coupling(
     means: NDArray[Any], skeleton: Skeleton, *, per_bone: int = 8, neighbours: int = 8
 ) -> Coupling:
-    """Sample `per_bone` points inside every bone and find the K_2 = `neighbours` splats nearest to each."""
+    """Sample `per_bone` points on the way of every bone to each joint that hangs on it (`bone_segments`), evenly, and
+    find the K_2 = `neighbours` splats nearest to each."""
     from scipy.spatial import cKDTree
 
+    segments = bone_segments(skeleton)
     step = (np.arange(per_bone) + 0.5) / per_bone
-    points = skeleton.heads[:, None] + step[:, None] * (skeleton.tails - skeleton.heads)[:, None]
+    points = segments.starts[:, None] + step[:, None] * (segments.ends - segments.starts)[:, None]
     points = points.reshape(-1, 3)
     distance, index = cKDTree(means).query(points, min(neighbours, len(means)))
     return Coupling(
         torch.as_tensor(points, dtype=torch.float32),
-        np.repeat(np.arange(skeleton.count), per_bone),
+        np.repeat(segments.bone, per_bone),
         torch.as_tensor(index.reshape(len(points), -1)),
         torch.as_tensor(distance.reshape(len(points), -1), dtype=torch.float32),
     )

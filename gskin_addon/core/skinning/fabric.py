@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,27 @@ _AROUND = 12  # splats that tell where the surface runs
 _WIDEST = np.radians(150)  # of an angle in a fan; wider ones are where the surface ends
 _REACH = 3.0  # times the usual way to the last neighbour: further is across a gap
 _PASSES = 4  # of neighbours telling the doubtful which side is out
+
+
+@dataclass(frozen=True, eq=False)
+class Fabric:
+    """triangles (T, 3) int32: splats, counter-clockwise seen from outside; edges (E, 2) int32: their sides, each once,
+    the lower splat first; sides (T, 3) int32: the edge from each corner of a triangle to the next."""
+
+    triangles: Array
+    edges: Array
+    sides: Array
+
+    @classmethod
+    def of(cls, triangles: Array) -> Fabric:
+        """The fabric of triangles (T, 3)."""
+        one = triangles.astype(np.int64)
+        other = np.roll(one, -1, axis=1)
+        count = int(one.max(initial=0)) + 1
+        key = np.minimum(one, other) * count + np.maximum(one, other)
+        key, side = np.unique(key.ravel(), return_inverse=True)
+        edges = np.stack(np.divmod(key, count), axis=1)
+        return cls(triangles.astype(np.int32), edges.astype(np.int32), side.reshape(one.shape).astype(np.int32))
 
 
 def fabric_triangles(
@@ -115,6 +137,10 @@ def _without_webs(
 
 def _each_once(triangles: Array) -> Array:
     """Three splats make at most one triangle."""
-    ordered = np.sort(triangles, axis=1)
+    ordered = np.sort(triangles, axis=1).astype(np.int64)
     ordered = ordered[(ordered[:, 0] != ordered[:, 1]) & (ordered[:, 1] != ordered[:, 2])]
-    return np.unique(ordered, axis=0)
+    # One number for each: numpy sorts rows as such with Python's lock held, and Blender would stand still.
+    count = int(ordered.max(initial=0)) + 1
+    pairs, pair = np.unique(ordered[:, 0] * count + ordered[:, 1], return_inverse=True)
+    key, third = np.divmod(np.unique(pair.reshape(-1) * count + ordered[:, 2]), count)
+    return np.stack([*np.divmod(pairs[key], count), third], axis=1)

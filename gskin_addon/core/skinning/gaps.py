@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..rig.nearest_points import nearest_points
-from ..splats.components import connected_components
+from ..splats.components import connected_components, unique_edges
 
 Array = NDArray[Any]
 
@@ -42,7 +42,7 @@ def bridge_pieces(points: Array, piece: Array, walls: Array | None = None, *, be
         edges.append(added)
         joined = connected_components(count, piece[added[:, 0]], piece[added[:, 1]])
         piece = np.unique(joined, return_inverse=True)[1].reshape(-1)[piece]
-    return np.unique(np.sort(np.concatenate(edges), axis=1), axis=0)
+    return unique_edges(np.concatenate(edges))
 
 
 def _nearest_elsewhere(points: Array, piece: Array, rows: Array, walls: Array | None) -> tuple[Array, Array]:

@@ -74,15 +74,21 @@ def initial_weights_visibility(
 ) -> Array:
     """The paper's initial weights: by Euclidean distance to the bones, plus `delta` for bones that are not visible.
 
+    A bone is what lies between joints (Eq. 6: between a joint and its parent), not a tail that an importer made up:
+    see `bone_segments`. Where several joints hang on a bone, the ways to them are bones of their own in the paper; here
+    they turn together, so their weights add up (Eq. 1).
     The object is first scaled to unit bounding-box diagonal (D mixes squared lengths with a length), so that the result
     does not depend on scale or position. means (N, 3) metres; masks (V, H, W) bool of the object in each camera (Eq.
     6), such as a rendered alpha above 0.5; pinholes in them count as outside. Returns (N, B) float32, rows sum to 1.
     """
+    from ..rig.segments import bone_segments
     from .visibility import bone_visibility
 
     _, diagonal = unit_frame(means)
-    squared, visible = bone_visibility(means, skeleton, masks, cameras, tick=tick)
-    return falloff_weights(squared / diagonal**2 + np.where(visible, 0, delta), gamma)
+    segments = bone_segments(skeleton)
+    squared, visible = bone_visibility(means, segments.skeleton(), masks, cameras, tick=tick)
+    weights = falloff_weights(squared / diagonal**2 + np.where(visible, 0, delta), gamma)
+    return segments.add_up(weights)
 
 
 def initial_weights_geodesic(

@@ -35,9 +35,14 @@ class LossWeights:
     arap_nodes: int = 2000
 
     @classmethod
+    def names(cls) -> list[str]:
+        """Names of all factors."""
+        return [f.name for f in fields(cls)]
+
+    @classmethod
     def parse(cls, values: Mapping[str, Any]) -> LossWeights:
         """From a job's table. Raises InputError: an unknown name, or a value that is not allowed."""
-        known = [f.name for f in fields(cls)]
+        known = cls.names()
         unknown = sorted(set(values) - set(known))
         if unknown:
             raise InputError(f"The job's losses have no option {', '.join(unknown)}; they have {', '.join(known)}.")

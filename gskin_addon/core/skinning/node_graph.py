@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..rig.nearest_points import nearest_points
-from ..splats.components import connected_components
+from ..splats.components import connected_components, unique_edges
 from .gaps import bridge_pieces
 from .walls import blocked, nearest_open
 
@@ -56,7 +56,7 @@ def build_graph(
     length, index = nearest_points(points, points, k)
     pitch = float(np.median(length[:, 1:]))
     edges = np.stack([np.repeat(np.arange(len(nodes)), k - 1), index[:, 1:].ravel()], axis=1)
-    edges = np.unique(np.sort(edges, axis=1), axis=0)
+    edges = unique_edges(edges)
     profile = np.asarray(distances, np.float32)
     a, b = edges.T
     edges = edges[~_gap(points[a], points[b], profile[nodes[a]], profile[nodes[b]], pitch)]

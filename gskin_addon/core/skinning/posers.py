@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..render.cpu.threads import thread_count
 from ..rig.anchoring import Anchors
-from ..rig.vertex_maps import mesh_neighbours, ring_coefficients
+from ..rig.vertex_maps import mesh_neighbours, rest_rings
 from ..splats.cloud import SplatCloud
 from .pose_kernels import pose_splats_fused
 from .posing import pose_splats, quat_multiply
@@ -79,8 +79,11 @@ class AnchoredPoser:
         verts: NDArray[Any],
         faces: NDArray[Any],
         neighbours: int = NEIGHBOURS,
+        *,
+        edges_only: bool = False,
     ) -> None:
-        """cloud: N splats; anchors: of the splats on the mesh with verts (V, 3), faces (F, 3)."""
+        """cloud: N splats; anchors: of the splats on the mesh with verts (V, 3), faces (F, 3); edges_only: see
+        `rig.vertex_maps.rest_rings`."""
         self.nodes = np.asarray(verts, np.float32)
         self.neighbours = mesh_neighbours(len(verts), faces, neighbours)
         self._quats = torch.from_numpy(cloud.quats)
@@ -94,10 +97,11 @@ class AnchoredPoser:
         self._reach = torch.ones(len(faces)).index_put(
             (torch.from_numpy(anchors.face),), torch.as_tensor(anchors.reach, dtype=torch.float32)
         )
-        coefficients = ring_coefficients(np.asarray(verts, np.float64), faces)
-        self._coefficients = torch.as_tensor(coefficients, dtype=torch.float32)
+        rings = rest_rings(np.asarray(verts, np.float64), faces, edges_only=edges_only)
+        self._coefficients = torch.as_tensor(rings.coefficients, dtype=torch.float32)
+        self._shares = torch.as_tensor(rings.shares, dtype=torch.float32)
         known = np.zeros(len(verts), bool)
-        known[faces[coefficients.any(axis=(1, 2, 3))]] = True
+        known[faces[rings.shares.any(axis=1)]] = True
         self._unknown = torch.from_numpy(~known)
 
     def pose(self, weights: torch.Tensor, transforms: NDArray[Any]) -> Posed:
@@ -110,7 +114,7 @@ class AnchoredPoser:
         hooks = self._hooks.take(_rows_first(posed)).view(-1, 3, poses, 3)
         means = (offset * self._local[:, None, None, :]).sum(-1) + (hooks * self._bary[:, :, None, None]).sum(1)
         means = means.transpose(0, 1).contiguous()
-        vertex_quats = self._vertex_quats(corner, frames[..., 2], skinned)
+        vertex_quats = self._vertex_quats(corner, frames[..., 2], double, skinned)
         turned = self._hooks.take(_rows_first(vertex_quats)).view(-1, 3, poses, 4).permute(2, 0, 1, 3)
         with torch.no_grad():
             sign = torch.where((turned * turned[:, :, :1]).sum(-1, keepdim=True) < 0, -1.0, 1.0)
@@ -118,11 +122,15 @@ class AnchoredPoser:
         quats = torch.nn.functional.normalize(quat_multiply(blend, self._quats), dim=-1)
         return Posed(means, quats, posed)
 
-    def _vertex_quats(self, corner: torch.Tensor, normal: torch.Tensor, skinned: torch.Tensor) -> torch.Tensor:
+    def _vertex_quats(
+        self, corner: torch.Tensor, normal: torch.Tensor, double: torch.Tensor, skinned: torch.Tensor
+    ) -> torch.Tensor:
         """Quaternions (P, V, 4) of R_v; where a ring is inverted, those of the bones (P, V, 4)."""
         poses = len(corner)
         to_next, to_last = corner.roll(-1, 2) - corner, corner.roll(1, 2) - corner
-        seen = torch.stack([to_next, to_last, normal[:, :, None].expand_as(to_next)], dim=3)
+        growth = self._corners.add((double.T[:, None] * self._shares[..., None]).reshape(-1, poses))  # (V, P)
+        thick = self._corners.take(growth.clamp_min(1e-12).sqrt()).view(-1, 3, poses).permute(2, 0, 1)
+        seen = torch.stack([to_next, to_last, thick[..., None] * normal[:, :, None]], dim=3)
         added = torch.einsum("pfkca,fkcb->fkpab", seen, self._coefficients)
         maps = self._corners.add(added.reshape(-1, 9 * poses)).view(-1, poses, 3, 3).transpose(0, 1)
         bad = (torch.linalg.det(maps.detach()) < _SMALLEST) | self._unknown

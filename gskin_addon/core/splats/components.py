@@ -32,6 +32,14 @@ def connected_components(count: int, first: Array, second: Array) -> NDArray[np.
             label, up = up, up[up]
 
 
+def unique_edges(edges: Array) -> NDArray[np.int64]:
+    """(E, 2): the edges (K, 2) of nodes from 0 on, each once, the smaller node first; ascending."""
+    edges = np.sort(np.asarray(edges, np.int64), axis=1)
+    # As one number each: numpy sorts rows with Python's lock held, and what waits for that stands still.
+    count = int(edges.max(initial=0)) + 1
+    return np.stack(np.divmod(np.unique(edges[:, 0] * count + edges[:, 1]), count), axis=1)
+
+
 def label_voxels(mask: Array) -> tuple[NDArray[np.int32], int]:
     """Components of the True voxels of mask (X, Y, Z) over their 26 neighbours: labels (X, Y, Z) int32, 0 where mask
     is False and counted from 1 elsewhere, and how many there are."""

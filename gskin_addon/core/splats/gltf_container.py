@@ -26,7 +26,7 @@ _JSON, _BIN = 0x4E4F534A, 0x004E4942
 _MAX_JSON = 256 << 20
 
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,10 @@ class GltfFile:
             raise damaged(self.path, f"buffer view {index} lies outside of its buffer")
         return self.buffers[place][start : start + length]
 
-    def accessor(self, index: Any) -> AnyArray:
+    def accessor(self, index: Any, *, whole: bool = False) -> AnyArray:
         """The values (N,) or (N, k) of an accessor: a view of its buffer, normalised integers as float32.
+
+        whole: whole numbers are wanted, such as indices, and come as they are stored.
 
         Raises InputError: outside of its buffer, sparse, or of a kind that glTF does not have.
         """
@@ -88,7 +90,10 @@ class GltfFile:
         values: AnyArray = np.ndarray(
             (count, width), dtype, data.data, offset, (stride, dtype.itemsize)
         )
-        if dtype.kind != "f":
+        if whole:
+            if dtype.kind != "u":
+                raise damaged(self.path, f"accessor {index} holds no whole numbers")
+        elif dtype.kind != "f":
             if not table.get("normalized"):
                 raise damaged(self.path, f"accessor {index} holds integers, where numbers of splats must be")
             values = np.maximum(values / np.float32(np.iinfo(dtype).max), np.float32(-1.0))

@@ -101,8 +101,11 @@ def _shares(steps: Generator[float, None, Part], number: int, count: int) -> Gen
         yield (number + done) / count
 
 
-def _primitives(file: GltfFile) -> Iterator[_Primitive]:
-    """The primitives with splats of the default scene (of all nodes where there is no scene), with their places."""
+def node_matrices(file: GltfFile) -> Iterator[tuple[int, NDArray[np.float64]]]:
+    """The nodes of the default scene (all where there is no scene), by number, and their matrices (4, 4) in the world.
+
+    Raises InputError: a node that does not exist, hangs in a circle or in two places.
+    """
     nodes = file.items("nodes")
     scenes = file.items("scenes")
     if scenes:
@@ -120,6 +123,13 @@ def _primitives(file: GltfFile) -> Iterator[_Primitive]:
         seen.add(index)
         matrix = parent @ _matrix(file, node)
         stack += [(child, matrix, depth + 1) for child in reversed(_list(file, node, "children"))]
+        yield index, matrix
+
+
+def _primitives(file: GltfFile) -> Iterator[_Primitive]:
+    """The primitives with splats of the default scene, with their places."""
+    for index, matrix in node_matrices(file):
+        node = file.item("nodes", index)
         if "mesh" not in node:
             continue
         for primitive in _list(file, file.item("meshes", node["mesh"]), "primitives"):

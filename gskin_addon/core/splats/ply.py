@@ -20,10 +20,11 @@ from ..ticks import run_to_end
 from . import ply_codec as codec
 from .cloud import AnyArray, SplatCloud
 from .georeference import recentre
-from .loaded import LoadedSplats, Reading, finish, opened
+from .loaded import LoadedSplats, Reading, damaged, finish, opened
 from .ply_compressed import is_compressed, read_compressed
 from .ply_header import FORMATS, TYPE_NAMES, Element, Header, format_header, read_header
 from .ply_kinds import notes_of
+from .ply_lists import scalar_pieces
 from .up_said import up_in_comments
 
 _CHUNK = 8192
@@ -31,6 +32,9 @@ _CHUNK = 8192
 
 _LINES = 1024
 """Rows of text handled at once, which take fifty times as long."""
+
+_DIGITS = 9
+"""Of the longest list in a line of text."""
 
 _COMPLETE = "export it with all properties of 3D Gaussian splats"
 
@@ -105,10 +109,6 @@ def _splat_element(header: Header, path: Path) -> tuple[Element, int]:
         )
     if missing:
         raise InputError(f"'{path}' lacks the splat properties {', '.join(missing)}; {_COMPLETE}.")
-    if vertex.lists:
-        raise InputError(
-            f"'{path}' has list properties in its vertices ({', '.join(vertex.lists)}); export it without them."
-        )
     rest = sum(name.startswith("f_rest_") for name in names)
     gaps = [name for name in codec.rest_names(rest) if name not in names]
     if gaps:
@@ -127,6 +127,8 @@ def _read_splats(
     """All splats with their raw and extra columns, and True (N,) where a splat is valid."""
     pieces = _ascii_pieces if header.format == "ascii" else _binary_pieces
     standard = {*codec.standard_names(rest), codec.FILTER} - set(codec.NORMALS)
+    for _ in _before(file, header, vertex, path):
+        yield 0.0
     source = pieces(file, header, vertex, path)
     piece: AnyArray | None = next(source)  # checks the file's length before anything large is made
     cloud = codec.empty_cloud(vertex.count, rest)
@@ -156,49 +158,63 @@ def _read_splats(
         yield start / vertex.count
         piece = next(source, None)
     said = up_in_comments(header.comments)
-    cloud = replace(cloud, extra=extra, stored=stored, notes=notes_of(vertex.properties), up=said)
+    cloud = replace(cloud, extra=extra, stored=stored, notes=notes_of(vertex), up=said)
     doubles.update({name: stored[name] for name in codec.MEANS if name in stored})
     return recentre(cloud, [doubles.get(name) for name in codec.MEANS], path), valid
 
 
 def _truncated(path: Path, expected: int, found: int) -> InputError:
     return InputError(
-        f"'{path}' is cut off: its header announces {expected} splats, the file holds {found}; "
-        "copy or export it again."
+        f"'{path}' is cut off: its header announces {expected} splats, the file holds {found}; copy or export it again."
     )
 
 
-def _binary_pieces(file: BinaryIO, header: Header, vertex: Element, path: Path) -> Iterator[AnyArray]:
-    """The vertex rows of a binary file as structured arrays of at most _CHUNK rows."""
-    offset = header.offset
+def _before(file: BinaryIO, header: Header, vertex: Element, path: Path) -> Iterator[None]:
+    """Leave `file` at the first vertex, in steps."""
+    file.seek(header.offset)
     for element in header.before(vertex.name):
-        if element.lists:
-            raise InputError(
-                f"'{path}' has lists ({element.name}) before its vertices; export it with the vertices first."
-            )
-        offset += element.count * element.dtype(header.order).itemsize
+        if header.format == "ascii":
+            for start in range(0, element.count, _CHUNK):
+                if next(islice(file, min(_CHUNK, element.count - start) - 1, None), None) is None:
+                    raise _truncated(path, vertex.count, 0)
+                yield
+        elif element.lists:
+            for _ in scalar_pieces(file, element, header.order, path):
+                yield
+        else:
+            behind = file.tell() + element.count * element.dtype(header.order).itemsize
+            if behind > os.fstat(file.fileno()).st_size:
+                raise _truncated(path, vertex.count, 0)
+            file.seek(behind)
+
+
+def _binary_pieces(file: BinaryIO, header: Header, vertex: Element, path: Path) -> Iterator[AnyArray]:
+    """The vertex rows of a binary file as structured arrays of at most _CHUNK rows; `file` is at the first."""
     dtype = vertex.dtype(header.order)
-    found = max(0, os.fstat(file.fileno()).st_size - offset) // dtype.itemsize
+    least = dtype.itemsize + sum(np.dtype(count).itemsize for count, _ in vertex.lists.values())
+    found = max(0, os.fstat(file.fileno()).st_size - file.tell()) // least
     if found < vertex.count:
         raise _truncated(path, vertex.count, found)
-    file.seek(offset)
+    if vertex.lists:
+        yield from scalar_pieces(file, vertex, header.order, path)
+        return
     for start in range(0, vertex.count, _CHUNK):
         yield np.fromfile(file, dtype=dtype, count=min(_CHUNK, vertex.count - start))
 
 
 def _ascii_pieces(file: BinaryIO, header: Header, vertex: Element, path: Path) -> Iterator[AnyArray]:
-    """The vertex rows of an ascii file as structured arrays of at most _LINES rows."""
-    size = os.fstat(file.fileno()).st_size - header.offset
-    possible = size // (2 * len(vertex.properties)) + 1  # a value takes a digit and a separator
+    """The vertex rows of an ascii file as structured arrays of at most _LINES rows; `file` is at the first."""
+    size = os.fstat(file.fileno()).st_size - file.tell()
+    possible = size // (2 * len(vertex.names)) + 1  # a value takes a digit and a separator
     if vertex.count > possible:
         raise _truncated(path, vertex.count, possible)
-    for _ in islice(file, sum(element.count for element in header.before(vertex.name))):
-        pass
     codes = vertex.properties.items()
     dtype = np.dtype([(name, "f8" if name in codec.MEANS else code) for name, code in codes])
     for start in range(0, vertex.count, _LINES):
         wanted = min(_LINES, vertex.count - start)
         lines = [line.decode("latin-1") for line in islice(file, wanted)]
+        if vertex.lists:
+            lines = [_without_lists(line, vertex, start + index, path) for index, line in enumerate(lines)]
         table = _parse_lines(lines, len(vertex.properties), start, path)
         if len(table) < wanted:
             raise _truncated(path, vertex.count, start + len(table))
@@ -207,6 +223,23 @@ def _ascii_pieces(file: BinaryIO, header: Header, vertex: Element, path: Path) -
             with np.errstate(over="ignore", invalid="ignore"):
                 piece[name] = table[:, index]
         yield piece
+
+
+def _without_lists(line: str, vertex: Element, splat: int, path: Path) -> str:
+    """A vertex line with its scalars only; InputError where a list is not as long as it says."""
+    words, kept, at = line.split(), [], 0
+    for name in vertex.names:
+        if name in vertex.properties:
+            kept += words[at : at + 1]
+            at += 1
+            continue
+        length = words[at] if at < len(words) else "nothing"
+        if not length.isdecimal() or len(length) > _DIGITS:
+            raise damaged(path, f"splat {splat} has a list of {length[:20]} values")
+        at += 1 + int(length)
+    if at != len(words):
+        raise damaged(path, f"splat {splat} has {len(words)} values where its lists tell {at}")
+    return " ".join(kept)
 
 
 def _parse_lines(lines: list[str], columns: int, start: int, path: Path) -> NDArray[np.float64]:

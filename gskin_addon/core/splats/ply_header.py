@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -33,15 +33,18 @@ _MAX_HEADER = 1 << 20
 
 @dataclass(frozen=True)
 class Element:
-    """One element: name, number of rows, scalar properties by name, names of its list properties."""
+    """One element: name, number of rows, NumPy code of its scalar properties by name; of its list properties the
+    codes of count and items; and the names of both in the file's order.
+    """
 
     name: str
     count: int
-    properties: dict[str, str]
-    lists: tuple[str, ...]
+    properties: dict[str, str] = field(default_factory=dict)
+    lists: dict[str, tuple[str, str]] = field(default_factory=dict)
+    names: list[str] = field(default_factory=list)
 
     def dtype(self, order: str) -> np.dtype[Any]:
-        """Packed NumPy type of one row in byte order `order` ("<", ">" or "=")."""
+        """Packed NumPy type of the scalars of one row in byte order `order` ("<", ">" or "=")."""
         return np.dtype([(name, order + code) for name, code in self.properties.items()])
 
 
@@ -89,7 +92,7 @@ def read_header(file: BinaryIO, path: Path) -> Header:
         if words[0] == "format" and len(words) == 3:
             format_name = words[1]
         elif words[0] == "element" and len(words) == 3 and words[2].isdecimal():
-            elements.append(Element(words[1], int(words[2]), {}, ()))
+            elements.append(Element(words[1], int(words[2])))
         elif words[0] == "property" and elements and _add_property(elements, words[1:]):
             continue
         else:
@@ -108,11 +111,17 @@ def _add_property(elements: list[Element], words: list[str]) -> bool:
         return False
     if len(words) == 2 and words[0] in TYPE_CODES:
         element.properties[name] = TYPE_CODES[words[0]]
-        return True
-    if len(words) == 4 and words[0] == "list" and words[1] in TYPE_CODES and words[2] in TYPE_CODES:
-        elements[-1] = Element(element.name, element.count, element.properties, (*element.lists, name))
-        return True
-    return False
+    elif len(words) == 4 and words[0] == "list" and _counts(words[1]) and words[2] in TYPE_CODES:
+        element.lists[name] = TYPE_CODES[words[1]], TYPE_CODES[words[2]]
+    else:
+        return False
+    element.names.append(name)
+    return True
+
+
+def _counts(type_name: str) -> bool:
+    """Whether a number of this type can be the length of a list."""
+    return TYPE_CODES.get(type_name, "f")[0] in "iu"
 
 
 def format_header(format_name: str, count: int, dtype: np.dtype[Any]) -> bytes:

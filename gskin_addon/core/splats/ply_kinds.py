@@ -3,9 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-
 from .ply_codec import FILTER, SCALES, THIN
+from .ply_header import Element
 
 _OF_TIME = ("t", "scale_t", "trbf_center", "trbf_scale", "t_scale", "duration")
 """When a splat is there: 4D Gaussian Splatting (Yang et al. 2024), Spacetime Gaussians (Li et al. 2024), FreeTimeGS."""
@@ -13,9 +12,9 @@ _OF_MOTION = ("motion_", "omega_", "rot_r_", "velocity", "vel_")
 """How it moves meanwhile; names begin so."""
 
 
-def notes_of(properties: Collection[str]) -> tuple[str, ...]:
+def notes_of(vertex: Element) -> tuple[str, ...]:
     """Clauses about what the vertex properties of a file are and how they are read; none for plain 3DGS."""
-    notes = []
+    notes, properties = [], vertex.properties
     scales = [name for name in SCALES if name in properties]
     if len(scales) == 2:
         notes.append(f"flat discs (two scales, as 2DGS): the third scale is {THIN:g} of the smaller one")
@@ -31,4 +30,7 @@ def notes_of(properties: Collection[str]) -> tuple[str, ...]:
             f"its splats change with time ({some}): those of all times are read as they stand, "
             "and these columns are kept as they are, but not played"
         )
+    if vertex.lists:
+        some = ", ".join([*vertex.lists][:4]) + (", ..." if len(vertex.lists) > 4 else "")
+        notes.append(f"the lists of its splats ({some}) are left out")
     return tuple(notes)

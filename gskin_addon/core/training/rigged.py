@@ -2,8 +2,8 @@
 """A rigged mesh, flattened into one npz file, and splats on it with the artist's weights.
 
 Arrays of a file, in a Z-up world: verts (V,3), faces (F,3), corner_rgb (F,3,3) uint8, sparse weights w_row, w_col,
-w_val, bone_parent (B,), bone_head, bone_tail (B,3); where known bone_names (B,), bone_rest (B,4,4), bone_used (B,)
-and anim_mats (A,B,4,4).
+w_val, bone_parent (B,), bone_head, bone_tail (B,3); where known bone_names (B,), bone_rest (B,4,4), bone_used (B,),
+anim_mats (A,B,4,4) and the textures of `textures.py`.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from ..files import read_arrays
 from ..rig.skeleton import Skeleton, parents_first
 from ..splats.cloud import SplatCloud
 from ..splats.from_mesh import sample_mesh
+from ..splats.sh import SH_C0
+from .textures import Textures, read_textures
 
 _NEEDED = ("verts", "faces", "corner_rgb", "w_row", "w_col", "w_val", "bone_parent", "bone_head", "bone_tail")
 
@@ -27,7 +29,8 @@ _NEEDED = ("verts", "faces", "corner_rgb", "w_row", "w_col", "w_val", "bone_pare
 @dataclass(frozen=True)
 class RiggedMesh:
     """A rigged mesh: verts (V, 3), faces (F, 3), corner_rgb (F, 3, 3) in [0, 1], weights (V, B) float32; used
-    (B,): the bones that carry weight; clip (A, B, 4, 4): deform transforms of an animation, where there is one."""
+    (B,): the bones that carry weight; clip (A, B, 4, 4): deform transforms of an animation, and textures, where there
+    are such."""
 
     verts: NDArray[Any]
     faces: NDArray[Any]
@@ -36,6 +39,7 @@ class RiggedMesh:
     skeleton: Skeleton
     used: NDArray[Any]
     clip: NDArray[Any] | None = None
+    textures: Textures | None = None
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,14 @@ def read_rigged_mesh(path: Path) -> RiggedMesh:
         used = data["bone_used"].astype(bool) if "bone_used" in data else weights.max(0) > 0.01
         order = parents_first(parents)
         mesh = RiggedMesh(
-            verts, data["faces"], data["corner_rgb"] / 255.0, weights, skeleton, used, data.get("anim_mats")
+            verts,
+            data["faces"],
+            data["corner_rgb"] / 255.0,
+            weights,
+            skeleton,
+            used,
+            data.get("anim_mats"),
+            read_textures(data, len(data["faces"])),
         )
         return with_bones(mesh, order)
     except (ValueError, IndexError) as error:
@@ -122,11 +133,24 @@ def load_asset(path: Path, count: int, seed: int = 0, *, unused_bones: bool = Fa
     order = np.argsort(_depths(mesh.skeleton), kind="stable")
     mesh = with_bones(mesh, order[chosen[order]])
     cloud, face, bary = sample_mesh(mesh.verts, mesh.faces, mesh.corner_rgb, count, np.random.default_rng(seed))
+    cloud = textured(cloud, mesh, face, bary)
     weights = np.einsum("nk,nkb->nb", bary, mesh.weights[mesh.faces[face]])
     weights /= np.maximum(weights.sum(1, keepdims=True), 1e-12)
     clip = None if mesh.clip is None else mesh.clip.astype(np.float64)
     surface = Surface(mesh.verts, mesh.faces.astype(np.int64), face, bary)
     return RiggedSplats(path.stem, cloud, mesh.skeleton, weights.astype(np.float32), clip, surface)
+
+
+def textured(cloud: SplatCloud, mesh: RiggedMesh, face: NDArray[Any], bary: NDArray[Any]) -> SplatCloud:
+    """The cloud (N splats, SH degree 0) with the textures' colours where its splats have such.
+
+    face (N,), bary (N, 3): where on the mesh the splats lie.
+    """
+    if mesh.textures is None:
+        return cloud
+    has, colors = mesh.textures.colors(face, bary)
+    sh = np.where(has[:, None, None], ((colors - 0.5) / SH_C0)[:, None, :], cloud.sh)
+    return replace(cloud, sh=sh.astype(np.float32))
 
 
 def _arrays(path: Path) -> dict[str, NDArray[Any]]:

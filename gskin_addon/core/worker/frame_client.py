@@ -50,7 +50,7 @@ class FrameClient:
         self._todo.put(pack_frame(number, frame, output))
 
     def poll(self) -> list[dict[str, Any]]:
-        """What the process said since the last call, "drawing" and "drawn" lines.
+        """What the process said since the last call, "compiling", "drawing" and "drawn" lines.
 
         Raises:
             GSkinError: it failed or is gone; the sentence says why.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Compiling a job's kernels in advance: two tiny jobs, whose results are discarded, fill the user's cache.
+"""Compiling kernels in advance: a tiny picture and two tiny jobs, whose results are discarded, fill the user's cache.
 
 `python .../core/worker/process.py --warm` runs it and prints JSON lines like a job. If the cache is warm already, it
 takes the few seconds in which torch loads.
@@ -19,6 +19,7 @@ import numpy as np
 from ..job.contract import write_job
 from ..job.mesh_files import write_mesh
 from ..job.progress import CancelFlag
+from ..render.cpu import still
 from ..rig.skeleton import Skeleton
 from ..skinning.presets import PRESETS, Preset
 from ..splats.cloud import SplatCloud
@@ -47,8 +48,10 @@ def main() -> int:
 
 
 def warm(send: Callable[[dict[str, Any]], None]) -> None:
-    """Run a job of each kind - splats alone, splats on a mesh - so that all kernels are compiled and cached."""
+    """Draw a picture, and run a job of each kind - splats alone, splats on a mesh - so that all kernels are compiled
+    and cached."""
     begun = time.monotonic()
+    still.compile_kernel()
     jobs: tuple[dict[str, Any], ...] = ({"init": "learned"}, {"init": "visibility", "mesh": True})
     PRESETS[_NAME] = _TINY
     try:

@@ -83,7 +83,8 @@ def register() -> None:
     scenes: Any = bpy.types.Scene
     scenes.gskin_draw_splats = bpy.props.BoolProperty(
         name="True Splats",
-        description="Draw splats in the 3D view as what they are, blended and in order; off, as ellipsoids",
+        description="Draw splats in the 3D view as what they are, blended and in order; off, as ellipsoids, or from "
+        "Blender 5.3 on as Blender's own splats, which are grainy in Solid mode",
         default=True,
         update=_switched,
     )

@@ -27,6 +27,9 @@ def draw() -> None:
     context = bpy.context
     if not switch.wanted(context.scene):
         return
+    if switch.is_out_of_date() and not bpy.app.timers.is_registered(_follow_views):
+        # Nothing of the file may be changed while Blender draws.
+        bpy.app.timers.register(_follow_views, first_interval=0.0)
     try:
         _draw(context)
     except Exception as error:
@@ -88,6 +91,12 @@ def _look() -> float | None:
     return POLL if view_state.sorter.is_busy() else None
 
 
+def _follow_views() -> None:
+    """Timer: a view has gone from Solid to Rendered, or back."""
+    switch.apply_to_all()
+    redraw()
+
+
 def _after_failure() -> None:
     view_state.forget()
     switch.give_ellipsoids_back()
@@ -113,7 +122,7 @@ def unregister() -> None:
     if _handle is not None:
         bpy.types.SpaceView3D.draw_handler_remove(_handle, "WINDOW")
         _handle = None
-    for timer in (_look, _after_failure):
+    for timer in (_look, _follow_views, _after_failure):
         if bpy.app.timers.is_registered(timer):
             bpy.app.timers.unregister(timer)
     view_state.forget()

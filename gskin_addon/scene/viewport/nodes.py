@@ -7,39 +7,43 @@ that. The points carry what the shader needs and nothing else, since joining cop
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from typing import Any
 
+import bpy
+
 from .. import names
-from ..node_builder import Tree
+from ..display_colors import SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF, splat_color
+from ..node_builder import Input, Tree, function_group
+from ..sampled import Sampled
+
+VERSION = 1
+"""Of the node group."""
 
 EXTRA_POINTS = 2
 """The ends of the edge; they come after the splats."""
 
 
-def shader_points(tree: Tree, splats: Any, shown_as: Sequence[Any], color: Callable[..., Any]) -> Any:
-    """The points of the mesh `splats` with one edge, as a geometry.
+def shader_points_group() -> bpy.types.NodeTree:
+    """The node group that makes the points of the mesh `Splats`, with one edge.
 
-    shown_as: show bones, show confidence, show the weights of; where one is set, the points have names.COLOR too.
-    color: `display_colors.splat_color` with the tree.
+    Show Bones, Show Confidence, Show Weights Of: single values; where one is set, the points have names.COLOR too.
     """
-    index = tree.out("GeometryNodeInputIndex", "Index")
+    kinds = {"Splats": "Geometry", SHOW_BONES: "Bool", SHOW_CONFIDENCE: "Bool", SHOW_WEIGHTS_OF: "String"}
+    return function_group("GSkin Shader Points", VERSION, kinds, {"Points": "Geometry"}, _shader_points)
 
-    def sampled(name: Any, kind: str) -> Any:
-        inputs = {"Geometry": splats, "Value": tree.attribute(name, kind), "Index": index}
-        return tree.out("GeometryNodeSampleIndex", "Value", inputs, data_type=kind, domain="POINT")
 
+def _shader_points(tree: Tree, given: Input) -> dict[str, Any]:
+    splats = given("Splats")
+    sampled = Sampled(tree, splats, tree.out("GeometryNodeInputIndex", "Index"))
+    shown_as = {label: given(label) for label in (SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF)}
     count = tree.domain_size(splats, "MESH")
     points = tree.out("GeometryNodePoints", "Points", {"Count": count, "Position": sampled("position", "FLOAT_VECTOR")})
     for name, kind in ((names.ROTATION, "QUATERNION"), (names.SCALE, "FLOAT_VECTOR"), (names.BASE, "FLOAT_COLOR")):
         points = tree.store(points, name, kind, sampled(name, kind))
     turned = tree.store(points, names.TURN, "QUATERNION", sampled(names.TURN, "QUATERNION"))
-    exists = tree.out("GeometryNodeInputNamedAttribute", "Exists", {"Name": names.TURN}, data_type="QUATERNION")
-    inputs = {"Geometry": splats, "Value": exists, "Index": 0}
-    exists = tree.out("GeometryNodeSampleIndex", "Value", inputs, data_type="BOOLEAN", domain="POINT")
-    points = _switch(tree, exists, points, turned)
-    special = tree.store(points, names.COLOR, "FLOAT_COLOR", color(sampled, *shown_as))
-    show_bones, show_confidence, show_weights_of = shown_as
+    points = _switch(tree, sampled.has(names.TURN, "QUATERNION"), points, turned)
+    special = tree.store(points, names.COLOR, "FLOAT_COLOR", splat_color(tree, sampled, shown_as))
+    show_bones, show_confidence, show_weights_of = shown_as.values()
     inputs = {"A": show_weights_of, "B": ""}
     named = tree.out("FunctionNodeCompare", "Result", inputs, data_type="STRING", operation="NOT_EQUAL")
     either = tree.out("FunctionNodeBooleanMath", "Boolean", {0: show_bones, 1: show_confidence}, operation="OR")
@@ -54,7 +58,7 @@ def shader_points(tree: Tree, splats: Any, shown_as: Sequence[Any], color: Calla
     join = tree.node("GeometryNodeJoinGeometry")
     for part in (edge, vertices):  # the one that is linked last comes first
         tree.connect(part, join.inputs["Geometry"])
-    return tree.output(join, "Geometry")
+    return {"Points": tree.output(join, "Geometry")}
 
 
 def _switch(tree: Tree, switch: Any, false: Any, true: Any) -> Any:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which objects the shader draws: their display then gives bare points in place of ellipsoids, and else ellipsoids.
 
+In Blender 5.3 and later it draws in Solid mode what Material Preview and Rendered show as Blender's own splats.
 Nothing is left behind: files are saved with ellipsoids, and they come back where drawing fails or ends.
 """
 
@@ -10,13 +11,17 @@ from collections.abc import Iterator
 
 import bpy
 
+from ..display_inputs import BY_SHADER, NATIVE
+from ..native_nodes import has_native_splats
 from ..node_builder import get_input, has_input, set_input
-from ..node_groups import BY_SHADER, NATIVE, find_display
+from ..node_groups import find_display
 from ..splat_object import is_splat_object
 
 OTHER_MODES = {"EDIT", "WEIGHT_PAINT", "VERTEX_PAINT", "TEXTURE_PAINT", "SCULPT"}
 """Modes in which Blender itself needs or shows the mesh."""
 
+_showed_engine = False
+"""What `shows_engine` said when all displays were last looked at."""
 failure = ""
 """Why the shader draws nothing in this session; empty while all is well."""
 
@@ -38,12 +43,27 @@ def can_be_drawn(obj: bpy.types.Object) -> bool:
     modifier = find_display(obj)
     if modifier is None or not has_input(modifier, BY_SHADER) or not get_input(modifier, "Display"):
         return False
-    return not is_native(modifier)
+    return not (is_native(modifier) and shows_engine())
 
 
 def is_native(modifier: bpy.types.NodesModifier) -> bool:
-    """Whether a display gives Blender's own splats, which need no shader of ours (Blender 5.3 and later)."""
+    """Whether a display gives Blender's own splats where the shader does not draw (Blender 5.3 and later)."""
     return has_input(modifier, NATIVE) and bool(get_input(modifier, NATIVE))
+
+
+def shows_engine() -> bool:
+    """Whether any 3D view is in Material Preview or Rendered: an object is the same in all views, and there Blender's
+    own splats stand in the light of the scene."""
+    return any(
+        area.type == "VIEW_3D" and area.spaces.active.shading.type in {"MATERIAL", "RENDERED"}
+        for window in bpy.context.window_manager.windows
+        for area in window.screen.areas
+    )
+
+
+def is_out_of_date() -> bool:
+    """Whether the kinds of the 3D views have changed so that Blender's own splats shall be drawn by the other."""
+    return has_native_splats() and shows_engine() != _showed_engine
 
 
 def is_drawn(obj: bpy.types.Object) -> bool:
@@ -74,6 +94,8 @@ def apply_to(obj: bpy.types.Object) -> None:
 
 def apply_to_all() -> None:
     """Bring all objects' displays in line with what is wanted."""
+    global _showed_engine
+    _showed_engine = shows_engine()
     for obj in splat_objects():
         apply_to(obj)
 

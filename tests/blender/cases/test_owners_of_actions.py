@@ -245,3 +245,43 @@ def test_without_slots_an_unused_clip_of_two_like_rigs_is_refused(tmp_path, monk
         choose_part(hero, "MonsterRoar")
     bpy.data.objects.remove(bpy.data.objects["Monster"])
     assert choose_part(hero, "HeroWave").action.name == "HeroWave"
+
+
+@pytest.mark.skipif(not SLOTS, reason="slots are Blender 4.4's")
+def test_unused_clips_of_an_old_file_with_two_like_rigs_are_left_out_and_said(tmp_path, capfd):
+    """Opened in 4.4 or later, every action of an older file has one slot of the same name."""
+
+    def change(hero, monster):
+        loose_clips(hero, monster)
+        for name in ("HeroWave", "MonsterRoar"):
+            bpy.data.actions[name].slots[0].name_display = "Legacy Slot"
+        fig.wave(hero, "HeroIdle", 0.1)
+
+    source = two(tmp_path / "in.blend", change)
+    out = tmp_path / "out.glb"
+    words = "2 unused actions ('HeroWave', 'MonsterRoar') may belong to 'Hero' or to 'Monster'"
+    assert fig.run("pose", source, "--out", out) == 0
+    assert f"Warning: {words}" in capfd.readouterr().err
+    assert [clip["name"] for clip in Glb(out).json["animations"]] == ["HeroIdle"]
+    assert fig.run("pose", source, "--out", tmp_path / "out.ply", "--action", "MonsterRoar") == 2
+    assert "fits 'Hero' and 'Monster'" in capfd.readouterr().err
+    notes: list[str] = []
+    fig.empty()
+    rig_files.import_armature(source, "Hero", notes)
+    assert [action.name for action in bpy.data.actions] == ["HeroIdle"]
+    assert notes[0].startswith(words)
+
+
+def test_an_unused_clip_belongs_to_the_rig_that_has_all_its_bones():
+    fig.empty()
+    hero, other = fig.add_rig("Hero"), fig.add_rig("Other")
+    other.pose.bones["hand.L"].name = "paw.L"
+    action = fig.wave(hero, "Walk")
+    fig.key(hero, "location", {1: (0, 0, 0), 10: (0, 0, 1)}, hero.pose.bones["hand.L"])
+    hero.animation_data_clear()
+    if SLOTS:
+        action.slots[0].name_display = "Legacy Slot"
+    assert [part.action for part in own_parts(hero)] == [action]
+    assert own_parts(other) == []
+    with pytest.raises(InputError, match=r"fits 'Hero' better, which has bone 'hand\.L', too"):
+        choose_part(other, "Walk")

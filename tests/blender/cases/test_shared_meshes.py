@@ -14,7 +14,7 @@ from gskin_addon.scene.armature import read_skeleton
 from gskin_addon.scene.bone_frames import armature_of
 from gskin_addon.scene.node_groups import find_display
 from gskin_addon.scene.posing import posed_cloud, turn_bones
-from gskin_addon.scene.weights import read_weights
+from gskin_addon.scene.weights import read_weights, update_rotation_weights
 from gskin_addon.session import running_job
 from gskin_addon.session.readiness import checks
 
@@ -125,6 +125,22 @@ def test_it_is_said(scene, monkeypatch):
     assert "mesh of its own" not in running_job.state.outcome
 
 
+def test_tools_of_weights_say_it_too(scene, capfd):
+    splats, armature, folder = scene
+    twin = linked_duplicate(splats)
+    choose(twin, armature)
+    fig.save(folder / "twins.blend")
+    capfd.readouterr()
+    assert bpy.ops.gskin.smooth_weights() == {"FINISHED"}
+    assert "'fig.001' has a mesh of its own now; it shared one with 'fig'" in capfd.readouterr().out
+    assert (read_weights(splats)[0] != read_weights(twin)[0]).any()
+    assert bpy.ops.gskin.smooth_weights() == {"FINISHED"}
+    assert "mesh of its own" not in capfd.readouterr().out
+    arguments = ("--object", "fig.001", "--smooth", 2, "--out", folder / "out.blend")
+    assert fig.run("weights", folder / "twins.blend", *arguments) == 0
+    assert "'fig.001' has a mesh of its own now; it shared one with 'fig'." in capfd.readouterr().err
+
+
 def test_twins_that_were_never_bound_end_with_weights_of_their_own(scene):
     splats, armature, folder = scene
     twin = linked_duplicate(splats, armature)
@@ -141,7 +157,7 @@ def test_painting_a_shared_mesh_of_one_rig_does_not_part_it(scene):
     twin = linked_duplicate(splats)
     splats.vertex_groups["head"].add(range(10), 1.0, "REPLACE")
     choose(splats, armature)
-    bpy.ops.gskin.update_rotation_weights()
+    update_rotation_weights(splats)
     assert twin.data == splats.data
 
 

@@ -12,7 +12,7 @@ from gskin_addon.core.errors import Cancelled, GSkinError, InputError
 from gskin_addon.core.guidance import diffusion
 from gskin_addon.core.guidance.control import make_signals
 from gskin_addon.core.guidance.diffusion import DiffusionGuidance, choose_offload, compute_device, noise
-from gskin_addon.core.guidance.mask import dynamic_mask
+from gskin_addon.core.guidance.mask import painting_mask
 from gskin_addon.core.guidance.provider import GuidanceContext, to_bytes
 from gskin_addon.core.render.camera import paper_views
 from gskin_addon.core.render.rasterizer import render_cloud
@@ -50,14 +50,14 @@ def run(context, signals, painter, identity=None):
     return list(DiffusionGuidance(context, lambda: painter, identity or {"model": "a"}).images(signals))
 
 
-def test_paints_inside_the_dynamic_mask_only(context, signals):
+def test_paints_inside_the_painting_mask_only(context, signals):
     painter = NoisePainter()
     images = run(context, signals, painter)
     assert len(images) == len(signals)
     for number, (signal, image) in enumerate(zip(signals, images, strict=True)):
         rest = render_cloud(context.cloud, signal.camera)[0]
         moved = skin_cloud(context.cloud, context.initial, signal.transforms, rotate_sh=False)
-        mask = dynamic_mask(rest, render_cloud(moved, signal.camera)[0])
+        mask = painting_mask(rest, render_cloud(moved, signal.camera)[0], signal.handles, signal.targets)
         assert image.dtype == np.uint8
         np.testing.assert_array_equal(image[~mask], to_bytes(rest)[~mask])
         seed = diffusion.image_seed(context.seed, number)

@@ -16,6 +16,8 @@ from gskin_addon.core.errors import InputError
 from gskin_addon.core.job import contract
 from gskin_addon.core.job.settings import CHECKS, JobSettings
 from gskin_addon.core.skinning import fields
+from gskin_addon.core.skinning.losses import LossWeights
+from gskin_addon.core.skinning.presets import PRESETS
 
 JSON = st.recursive(
     st.one_of(
@@ -37,6 +39,7 @@ WHOLE = {
     "max_influences": 4,
     "seed": 7,
     "front": "-y",
+    "views": 2,
     "options": {"model": "a/b", "strength": 0.5, "steps": 4, "offload": "none"},
     "init_options": {"model": ""},
     "field": "volume",
@@ -155,6 +158,54 @@ def test_the_version_is_a_number(folder, version):
     ],
 )
 def test_what_used_to_slip_through(values, words):
+    with pytest.raises(InputError, match=words):
+        JobSettings.parse(values)
+
+
+def test_a_preset_brings_settings_that_the_job_may_change():
+    paper = JobSettings.parse({"preset": "paper", "guidance": "elastic"})
+    assert (paper.init, paper.max_influences, paper.views) == ("visibility", 0, 4)
+    assert paper.field_options == {"start": "fit"}
+    assert paper.losses == {"anchor": 0.0, "arap_neighbours": 30, "arap_nodes": 0}
+    own = {"init": "learned", "losses": {"arap": 0.5, "anchor": 0.01}, "field_options": {"fit_steps": 7}}
+    changed = JobSettings.parse({"preset": "paper", **own})
+    assert changed.init == "learned"
+    assert changed.losses == {"anchor": 0.01, "arap_neighbours": 30, "arap_nodes": 0, "arap": 0.5}
+    assert changed.field_options == {"start": "fit", "fit_steps": 7}
+    assert JobSettings.parse({"preset": "paper", "field": "pyramid"}).field_options == {}
+    assert JobSettings.parse({"preset": "thorough"}).init == "learned"
+
+
+def test_the_preset_paper_is_the_schedule_of_the_paper():
+    """Sec. III-D and IV: 200 images of four views, batches of 20, 500 iterations, 512 px, K_1 = 30, a 128^3 volume."""
+    preset, chosen = PRESETS["paper"], JobSettings.parse({"preset": "paper"})
+    assert (preset.poses_per_view * chosen.views, preset.batch, preset.stages) == (200, 20, ((512, 500),))
+    assert (preset.held_out, preset.patience, preset.prune) == (0, 0, False)
+    losses = LossWeights.parse(chosen.losses)
+    assert (losses.anchor, losses.arap_neighbours, losses.arap_nodes) == (0, 30, 0)
+    assert chosen.field_name(preset) == "volume"
+    volume = import_module("gskin_addon.core.skinning.fields.volume")
+    assert inspect.signature(volume.create).parameters["resolution"].default == 128
+    assert volume.decoder_widths(128) == [512, 512, 256, 256, 128, 128]
+
+
+@pytest.mark.parametrize("views", [0, 3, 5, 7, True, 2.0, "4", None, [4]])
+def test_views_are_those_of_the_papers_ablation(views):
+    with pytest.raises(InputError, match=r"views is .*choose one of 1, 2, 4, 6"):
+        JobSettings.parse({"views": views})
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"field": "volume", "field_options": {"resolution": 100}}, "resolution is 100; it must be a power of 2"),
+        ({"field": "volume", "field_options": {"start": "zero"}}, "start is 'zero'; choose prior or fit"),
+        ({"field": "volume", "field_options": {"width": True}}, "width is True"),
+        ({"field_options": {"resolutions": [8, 10**9]}}, "resolutions are .*from 2 to 1024"),
+        ({"preset": "paper", "field_options": {"resolutions": [8]}}, "'volume' has no option resolutions"),
+    ],
+)
+def test_values_of_field_options_are_refused_before_any_work(values, words):
     with pytest.raises(InputError, match=words):
         JobSettings.parse(values)
 

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 from without import output_without
 
 from gskin_addon.core.job.settings import JobSettings
-from gskin_addon.core.pipeline.estimate import estimate_seconds, in_words
+from gskin_addon.core.pipeline.estimate import estimate_seconds, in_words, warning_of_time
 from gskin_addon.core.pipeline.work_kinds import CHECKS, checks_of
 from gskin_addon.core.skinning.presets import PRESETS
 
@@ -17,7 +19,7 @@ def test_more_splats_bones_and_images_take_longer():
         return estimate_seconds(JobSettings(**settings), splats, bones)
 
     assert 1 < seconds(1000) < seconds() < seconds(400_000) < 60
-    guided = [seconds(guidance="elastic", preset=name) for name in ("draft", "standard", "high", "paper")]
+    guided = [seconds(guidance="elastic", preset=name) for name in ("draft", "standard", "high", "thorough", "paper")]
     assert seconds() < guided[0]
     assert guided == sorted(guided)
     assert seconds(guidance="elastic", bones=100) > seconds(guidance="elastic")
@@ -29,6 +31,20 @@ def test_more_splats_bones_and_images_take_longer():
 def test_images_of_diffusion_models_are_not_guessed():
     assert estimate_seconds(JobSettings(guidance="flux_repair"), 50_000, 20) is None
     assert in_words(None) == ""
+
+
+def test_the_volume_says_what_it_costs_before_it_starts():
+    paper = JobSettings.parse({"preset": "paper", "guidance": "lightning_drag"})
+    told = warning_of_time(paper, 50_000, 20)
+    hour, memory, fast = (float(number) for number in re.findall(r"[\d.]+(?= min| GB)", told))
+    assert hour > 3 * fast
+    assert 1 < memory < 16
+    assert "'pyramid'" in told
+    more = [warning_of_time(paper, splats, bones) for splats, bones in ((150_000, 20), (50_000, 100))]
+    assert min(float(re.search(r"(\d+) min", words).group(1)) for words in more) > hour
+    assert estimate_seconds(JobSettings.parse({"preset": "paper", "guidance": "elastic"}), 50_000, 20) > 60 * hour
+    for quick in ({"preset": "paper"}, {"preset": "thorough", "guidance": "elastic"}):
+        assert warning_of_time(JobSettings.parse(quick), 50_000, 20) == ""
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,14 @@ import pytest
 import splat_clouds as clouds
 
 from gskin_addon.core.render.camera import Camera, look_at
-from gskin_addon.core.render.screen_space import camera_matrices, covariances, is_orthographic, jacobian, project
+from gskin_addon.core.render.screen_space import (
+    camera_matrices,
+    covariances,
+    is_orthographic,
+    jacobian,
+    project,
+    window_depths,
+)
 from gskin_addon.core.rig.quaternion import quat_to_matrix
 
 
@@ -54,6 +61,17 @@ def test_projection_and_covariances_are_those_of_the_reference(lens):
     front = depth > 0.05
     # Also beyond the picture's edge, where the Jacobian is held back.
     np.testing.assert_allclose(got[front], wanted[front], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["perspective", "orthographic"])
+def test_window_depths_are_those_of_the_projected_points(kind):
+    camera = replace(look_at((2.0, -1.5, 0.7), (0, 0, 0), size=(24, 32)), orthographic=kind == "orthographic", near=0.2)
+    _, projection = camera_matrices(camera, 40.0)
+    away = np.array([0.2, 1.0, 7.0, 40.0])
+    clip = projection @ np.stack([away * 0.1, away * 0.2, -away, np.ones(4)])
+    got = window_depths(np.append(away, np.inf), projection)
+    np.testing.assert_allclose(got[:4], 0.5 * clip[2] / clip[3] + 0.5, atol=1e-6)
+    np.testing.assert_allclose(got[[0, 3, 4]], [0.0, 1.0, 1.0], atol=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["perspective", "orthographic", "sheared"])

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gskin_addon.core.skinning.fabric import fabric_triangles
+from gskin_addon.core.skinning.fabric import Fabric, fabric_triangles
 from gskin_addon.core.splats.cloud import SplatCloud
 from gskin_addon.core.splats.components import connected_components
 
@@ -53,6 +53,16 @@ def test_a_ball_is_covered_and_faces_out():
         q = np.cross(-corner[:, 0], edge1)
         v, t = (q * way).sum(axis=1) / det, (q * edge2).sum(axis=1) / det
         assert ((u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9) & (t > 0)).any()
+
+
+def test_a_fabric_knows_its_edges():
+    triangles = fabric_triangles(cloud_of(ball(300)))
+    fabric = Fabric.of(triangles)
+    expected = {tuple(sorted(pair)) for t in triangles.tolist() for pair in zip(t, t[1:] + t[:1], strict=True)}
+    assert {tuple(edge) for edge in fabric.edges.tolist()} == expected
+    assert len(fabric.edges) == len(expected)
+    corners = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2)
+    assert np.array_equal(fabric.edges[fabric.sides], np.sort(corners, axis=2))
 
 
 def edges_of(triangles):

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -44,6 +46,28 @@ def test_anchored_splats_are_where_numpy_puts_them(scene):
         assert shear.max() > 1.05  # so that this pose is no rigid motion
 
 
+@pytest.mark.parametrize("edges_only", [False, True])
+def test_vertices_of_a_swollen_mesh_turn_as_numpy_says(scene, edges_only):
+    """Rings that grow weigh their normals more, in both; splats at a vertex turn as it does."""
+    limb, verts, faces, weights, transforms = scene
+    swollen = transforms.copy()
+    head = limb.skeleton.heads[1]
+    swollen[:, 1, :3, 3] -= 0.4 * swollen[:, 1, :3, :3] @ head
+    swollen[:, 1, :3, :3] *= 1.4
+    anchors = anchor_splats(limb.cloud.means, verts, faces)
+    anchors = replace(anchors, bary=np.eye(3)[np.arange(anchors.count) % 3])
+    poser = AnchoredPoser(limb.cloud, anchors, verts, faces, edges_only=edges_only)
+    quats = poser.pose(torch.from_numpy(weights), swollen).quats[0].numpy()
+    moved, found = skin_points(verts, weights, swollen[0]), []
+    for other in (edges_only, not edges_only):
+        rotation, _ = vertex_transforms(verts, moved, faces, edges_only=other)
+        turn = matrix_to_quat(rotation[faces[anchors.face, anchors.bary.argmax(1)]])
+        agree = np.abs((quats * quat_multiply(turn, limb.cloud.quats)).sum(-1))
+        found.append(2 * np.arccos(np.clip(agree, -1, 1)).max())
+    assert found[0] < 0.003
+    assert found[1] > 0.02
+
+
 def test_vanilla_splats_are_posed_as_before(scene):
     limb, _, _, _, transforms = scene
     weights = torch.from_numpy(limb.weights)
@@ -58,7 +82,7 @@ def test_vanilla_splats_are_posed_as_before(scene):
 def test_gradients_are_those_of_small_steps(scene):
     limb, verts, faces, weights, transforms = scene
     poser = AnchoredPoser(limb.cloud, anchor_splats(limb.cloud.means, verts, faces), verts, faces)
-    for name in ("_quats", "_verts", "_bary", "_local", "_coefficients", "_reach"):
+    for name in ("_quats", "_verts", "_bary", "_local", "_coefficients", "_shares", "_reach"):
         setattr(poser, name, getattr(poser, name).double())
     rng = np.random.default_rng(3)
     pull = [torch.from_numpy(rng.normal(size=(2, 300, k))) for k in (3, 4)]

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
@@ -48,3 +50,18 @@ def test_coupling_equals_its_formula_and_vanishes_for_rigid_motion():
     rigid = np.repeat(transforms[:, :1], limb.skeleton.count, axis=1)
     still = skin_points(limb.cloud.means, limb.weights, rigid)
     assert float(coupling_loss(coupling, torch.from_numpy(still), rigid)) < 1e-9
+
+
+def test_coupling_points_lie_between_the_joints_wherever_the_tails_are():
+    limb = make_limb(400)
+    stubs = replace(limb.skeleton, tails=limb.skeleton.heads + (0.01, 0, 0))
+    honest, coupling = (prepare_coupling(limb.cloud.means, s, per_bone=3) for s in (limb.skeleton, stubs))
+    np.testing.assert_allclose(coupling.points.numpy(), honest.points.numpy(), atol=1e-6)
+    np.testing.assert_array_equal(coupling.bone, honest.bone)
+
+    # A bone from which two hang spans both ways, and all its points move with it.
+    heads = np.array([[0, 0, 0], [1, 1, 0], [1, -1, 0.0]])
+    fork = replace(limb.skeleton, parents=np.array([-1, 0, 0]), heads=heads, tails=heads + (0.01, 0, 0))
+    coupling = prepare_coupling(limb.cloud.means, fork, per_bone=2)
+    own = coupling.points.numpy()[coupling.bone == 0]
+    np.testing.assert_allclose(own, [(0.25, 0.25, 0), (0.75, 0.75, 0), (0.25, -0.25, 0), (0.75, -0.75, 0)])

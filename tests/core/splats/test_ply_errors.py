@@ -86,16 +86,6 @@ def test_partial_band(tmp_path, columns):
     assert "8 f_rest properties, not 0, 9, 24, 45, 72" in message(clouds.write_columns(tmp_path / "in.ply", columns))
 
 
-def test_list_property_in_the_vertices(tmp_path, columns):
-    table = np.empty(20, [(name, "f4") for name in columns] + [("links", object)])
-    for name, column in columns.items():
-        table[name] = column
-    table["links"] = [np.arange(2, dtype=np.int32)] * 20
-    path = tmp_path / "in.ply"
-    plyfile.PlyData([plyfile.PlyElement.describe(table, "vertex", val_types={"links": "i4"})]).write(path)
-    assert "list properties in its vertices (links)" in message(path)
-
-
 @pytest.mark.parametrize("text", [False, True])
 def test_cut_off(tmp_path, columns, text):
     path = clouds.write_columns(tmp_path / "in.ply", columns, text=text)

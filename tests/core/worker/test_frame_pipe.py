@@ -18,6 +18,7 @@ from gskin_addon.core.render.camera import look_at
 from gskin_addon.core.render.drawn_splats import DrawnSplats, drawn_cloud
 from gskin_addon.core.render.frame import Frame, draw_frame
 from gskin_addon.core.render.output import Output
+from gskin_addon.core.worker import frame_worker
 from gskin_addon.core.worker.frame_client import FrameClient
 from gskin_addon.core.worker.frame_pipe import pack_frame, read_frames
 
@@ -56,11 +57,29 @@ def test_a_message_that_breaks_off_is_no_frame(share, tmp_path):
 
 def test_pictures_come_from_elsewhere_too(tmp_path):
     picture = np.random.default_rng(1).random((30, 40, 4)).astype(np.float32)
-    sent = replace(frame(), objects=[], picture=picture)
+    none = np.zeros((0, 3, 3), np.float32)
+    sent = replace(frame(), objects=[], picture=picture, triangles=none)
     ((_, got, _),) = read_frames(io.BytesIO(b"".join(pack_frame(1, sent, Output("a.png", "png")))))
     drawn, hidden = draw_frame(got)
     np.testing.assert_array_equal(drawn.color, picture[..., :3])
     assert not hidden.any()
+    hides = replace(frame(), picture=picture)
+    np.testing.assert_array_equal(draw_frame(hides)[1], draw_frame(frame())[1])
+    assert draw_frame(hides)[1].any()
+
+
+def test_kernels_are_compiled_before_the_first_frame_and_it_is_said(monkeypatch):
+    pytest.importorskip("numba")
+    from gskin_addon.core.render.cpu import compiled, still
+
+    still.compile_kernel()
+    assert not still.has_to_compile()
+    lines = []
+    frame_worker._compile(lines.append)
+    assert lines == []
+    monkeypatch.setattr(compiled.Path, "glob", lambda self, pattern: iter(()))  # an empty cache
+    frame_worker._compile(lines.append)
+    assert lines == [{"stage": "compiling"}]
 
 
 def follow(client):

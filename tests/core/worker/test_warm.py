@@ -7,8 +7,10 @@ from gskin_addon.core.worker import process, warm
 
 def test_both_kinds_of_jobs_run_and_leave_nothing_behind(monkeypatch, tmp_path):
     monkeypatch.setattr(warm.tempfile, "tempdir", str(tmp_path))
-    lines = []
+    pictures, lines = [], []
+    monkeypatch.setattr(warm.still, "compile_kernel", lambda: pictures.append("still"))
     warm.warm(lines.append)
+    assert pictures == ["still"]
     fractions = [line["fraction"] for line in lines]
     assert fractions == sorted(fractions)
     assert {line["stage"] for line in lines[:-1]} == {"warm"}

@@ -7,15 +7,20 @@ layout and is used in the same way. Nothing here needs torch until a provider is
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from .. import consent
+from ..control import ControlSignal
 from ..diffusion import DiffusionGuidance, choose_offload, compute_device, device_memory
 from ..model_files import require
 from ..options import LightningDragOptions
 from ..provider import GuidanceContext
 from .files import find_files
-from .point_maps import SPARSE
+from .point_maps import SPARSE, point_facts
 
 if TYPE_CHECKING:
     from .pipeline import LightningDragPainter
@@ -25,7 +30,29 @@ RESIDENT, LARGEST = 10.0, 6.0
 precision with room for the work. Not measured on a GPU."""
 
 
-def create(context: GuidanceContext) -> DiffusionGuidance:
+class LightningDragGuidance(DiffusionGuidance):
+    """The common run, which also says how many control points the model is not shown."""
+
+    def __init__(self, context: GuidanceContext, *args: Any, most: int) -> None:
+        """most: control points of an image that the model is shown, 0 for all; the rest is `DiffusionGuidance`'s."""
+        super().__init__(context, *args)
+        self._tick, self._most = context.tick, most
+        self.facts: dict[str, Any] = {}
+
+    def images(self, signals: Sequence[ControlSignal]) -> Iterator[NDArray[np.uint8]]:
+        """See Provider; `facts` has `control_points`, see `point_facts`."""
+        counts = point_facts(signals, self._most)
+        self.facts = {"control_points": counts}
+        if counts["dropped"]:
+            self._tick(
+                0.0,
+                f"{counts['images_over']} of {counts['images']} images have more than {self._most} control points; "
+                f"{counts['dropped']} of {counts['points']} are left out (option max_points)",
+            )
+        yield from super().images(signals)
+
+
+def create(context: GuidanceContext) -> LightningDragGuidance:
     """The provider for `context`; its models are loaded with the first image.
 
     Raises:
@@ -58,7 +85,8 @@ def create(context: GuidanceContext) -> DiffusionGuidance:
             offload=choose_offload(options.offload, device, RESIDENT, LARGEST) != "none",
         )
 
-    return DiffusionGuidance(context, load, {**options.identity(), "max_points": most, "files": files.stamps()})
+    identity = {**options.identity(), "max_points": most, "files": files.stamps()}
+    return LightningDragGuidance(context, load, identity, most=most)
 
 
 def _batch(memory: float) -> int:

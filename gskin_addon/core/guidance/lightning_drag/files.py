@@ -76,12 +76,11 @@ ROLES: dict[str, ModelFiles] = {
     "lightning_drag": ModelFiles(
         "LightningDrag checkpoint",
         (
-            f"{APPEARANCE}/config.json",
             _within(APPEARANCE, ("diffusion_pytorch_model.safetensors",)),
             POINTS,
             ATTENTION,
         ),
-        "see its model card",
+        "none is stated for these weights",
         "LightningDrag/lightning-drag-sd15",
     ),
     "lcm_lora": ModelFiles(

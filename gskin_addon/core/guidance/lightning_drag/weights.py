@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -73,12 +72,12 @@ def load(files: Files, dtype: torch.dtype, trained: torch.dtype | None = None) -
     processors = install(unet, points.embeddings)
     for number, processor in enumerate(processors):
         processor.to(dtype if number % 2 else trained)
-    path = files.lightning_drag / ATTENTION
-    load_strictly(processors, load_tensors(path, "attention weights"), f"The attention weights '{path}'")
-    appearance = load_appearance(files.lightning_drag / APPEARANCE, unet.config, trained)
     folder = files.ip_adapter / "models/image_encoder"
     encoder = _pretrained(CLIPVisionModelWithProjection, folder, "image encoder", dtype=dtype)
-    tokens = load_ip_adapter(_ip_adapter_file(files.ip_adapter), processors, encoder.config.projection_dim).to(dtype)
+    adapter = read_ip_adapter(_ip_adapter_file(files.ip_adapter), processors)
+    tokens = load_image_tokens(adapter, encoder.config.projection_dim, unet.config.cross_attention_dim).to(dtype)
+    load_attention(files.lightning_drag / ATTENTION, processors, adapter)
+    appearance = load_appearance(files.lightning_drag / APPEARANCE, unet.config, trained)
     vae = _pretrained(AutoencoderKL, files.vae, "VAE", torch_dtype=dtype)
     if vae.config.latent_channels != 4 or len(vae.config.block_out_channels) != 4:
         raise InputError(f"The VAE in '{files.vae}' is not one of Stable Diffusion 1.5; choose such a one.")
@@ -102,6 +101,12 @@ def load(files: Files, dtype: torch.dtype, trained: torch.dtype | None = None) -
 
 def load_strictly(module: nn.Module, state: Mapping[str, Any], what: str) -> None:
     """Load all of `state` into all of `module`. Raises InputError naming the first tensor that does not fit."""
+    check_tensors(module, state, what)
+    module.load_state_dict(dict(state))
+
+
+def check_tensors(module: nn.Module, state: Mapping[str, Any], what: str) -> None:
+    """Raise InputError unless `state` has every tensor of `module`, in its shape, and no other; `what`: the file."""
     own = module.state_dict()
     for key, tensor in own.items():
         given = state.get(key)
@@ -115,7 +120,6 @@ def load_strictly(module: nn.Module, state: Mapping[str, Any], what: str) -> Non
     extra = sorted(set(state) - set(own))
     if extra:
         raise InputError(f"{what} has a tensor '{extra[0]}' that does not belong there; get the right file.")
-    module.load_state_dict(dict(state))
 
 
 def load_point_embedding(path: Path) -> PointEmbedding:
@@ -126,49 +130,71 @@ def load_point_embedding(path: Path) -> PointEmbedding:
     return points
 
 
+def load_attention(path: Path, processors: nn.ModuleList, adapter: IPAdapter) -> None:
+    """Load the attention weights of `path` into all of `processors`, with the IP-Adapter's in place of its own.
+
+    The file may hold the self-attentions' tensors only (48 of 80, the published 5.6 M parameters) or all: the
+    adapter's are merged into them first, and what comes of it must fit strictly, as in the original.
+
+    Raises:
+        InputError: it lacks a tensor, or has one of another shape or model.
+    """
+    own = load_tensors(path, "attention weights")
+    load_strictly(processors, {**own, **adapter.cross}, f"The attention weights '{path}'")
+
+
 def load_appearance(folder: Path, base: Mapping[str, Any], dtype: torch.dtype) -> Any:
-    """The appearance encoder in `folder` as `dtype`, pruned to what its checkpoint holds; it must fit the UNet `base`.
+    """The appearance encoder in `folder` as `dtype`, pruned to what its checkpoint holds.
+
+    It is built from `base`, the configuration of the denoising UNet, with four channels; a config.json beside the
+    weights is not read (the original reads none either).
 
     Raises:
         InputError: its tensors are not exactly the stock UNet's without `absent_keys`.
     """
     from diffusers import UNet2DConditionModel
 
-    config = read_table(folder / "config.json")
-    what = f"The appearance encoder in '{folder}'"
-    if config.get("in_channels", 4) != 4:
-        raise InputError(f"{what} takes {config['in_channels']} channels, not 4; get the right file.")
-    for name in ("block_out_channels", "cross_attention_dim", "attention_head_dim"):
-        if name in config and _plain(config[name]) != _plain(base[name]):
+    path = folder / "diffusion_pytorch_model.safetensors"
+    what = f"The appearance encoder '{path}'"
+    stock: Any = UNet2DConditionModel
+    with torch.device("meta"):
+        unet = stock.from_config({**base, "in_channels": 4})
+    state = load_tensors(path, "appearance encoder")
+    absent, own = absent_keys(unet), unet.state_dict()
+    for key in sorted(set(own) - absent):
+        if key not in state:
+            raise InputError(f"{what} lacks the tensor '{key}', unlike LightningDrag's; get the right file.")
+        if state[key].shape != own[key].shape:
             raise InputError(
-                f"{what} has {name} {config[name]}, but the base model has {base[name]}; "
+                f"{what} has '{key}' as {tuple(state[key].shape)}, but the base model needs {tuple(own[key].shape)}; "
                 "choose models that belong together."
             )
-    # Published configurations name a class of their own; only what a stock UNet knows counts.
-    stock: Any = UNet2DConditionModel
-    known = set(inspect.signature(stock.__init__).parameters)
-    with torch.device("meta"):
-        unet = stock.from_config({k: v for k, v in config.items() if k in known})
-    state = load_tensors(folder / "diffusion_pytorch_model.safetensors", "appearance encoder")
-    state = {key: tensor.to(dtype) for key, tensor in state.items()}
-    absent = absent_keys(unet)
-    try:
-        result = unet.load_state_dict(state, strict=False, assign=True)
-    except RuntimeError as error:
-        first = str(error).strip().splitlines()[-1].strip().rstrip(".")
-        raise InputError(f"{what} does not fit its config.json ({first}); get both files again.") from None
-    if result.unexpected_keys:
-        raise InputError(f"{what} has a tensor '{result.unexpected_keys[0]}' of another model; get the right file.")
-    if set(result.missing_keys) != absent:
-        wrong = sorted(set(result.missing_keys) ^ absent)[0]
-        verb = "lacks" if wrong in result.missing_keys else "has"
-        raise InputError(f"{what} {verb} the tensor '{wrong}', unlike LightningDrag's; get the right file.")
+    for key in sorted(state):
+        if key in absent:
+            raise InputError(f"{what} has the tensor '{key}', unlike LightningDrag's; get the right file.")
+        if key not in own:
+            raise InputError(f"{what} has a tensor '{key}' of another model; get the right file.")
+    unet.load_state_dict({key: tensor.to(dtype) for key, tensor in state.items()}, strict=False, assign=True)
     prune(unet)
     return unet
 
 
-def load_ip_adapter(path: Path, processors: nn.ModuleList, width: int) -> ImageTokens:
-    """Put the IP-Adapter's keys and values into `processors`; returns its projection of the image."""
+@dataclass(frozen=True)
+class IPAdapter:
+    """The two halves of an IP-Adapter's file `what`: projection, of the image to tokens; cross, keys and values of the
+    cross-attentions, named by their number among all attentions."""
+
+    what: str
+    projection: dict[str, Any]
+    cross: dict[str, Any]
+
+
+def read_ip_adapter(path: Path, processors: nn.ModuleList) -> IPAdapter:
+    """The IP-Adapter in `path`, whose keys and values fit the cross-attentions of `processors`.
+
+    Raises:
+        InputError: it is none, or one of another model.
+    """
     what = f"The IP-Adapter '{path}'"
     groups: dict[str, dict[str, Any]] = {"image_proj": {}, "ip_adapter": {}}
     for key, value in load_tensors(path, "IP-Adapter").items():
@@ -177,10 +203,14 @@ def load_ip_adapter(path: Path, processors: nn.ModuleList, width: int) -> ImageT
             raise InputError(f"{what} has '{key}', which does not belong there; choose ip-adapter_sd15.")
         groups[group].update({rest: value} if rest else value)
     cross = nn.ModuleDict({str(i): processors[i] for i in range(1, len(processors), 2)})
-    load_strictly(cross, groups["ip_adapter"], what)
-    context: int = processors[1].to_k_ip.in_features  # type: ignore[assignment, union-attr]
+    check_tensors(cross, groups["ip_adapter"], what)
+    return IPAdapter(what, groups["image_proj"], groups["ip_adapter"])
+
+
+def load_image_tokens(adapter: IPAdapter, width: int, context: int) -> ImageTokens:
+    """The adapter's projection of image embeddings of `width` to tokens of `context`. Raises InputError."""
     tokens = ImageTokens(width, context)
-    load_strictly(tokens, groups["image_proj"], what)
+    load_strictly(tokens, adapter.projection, adapter.what)
     return tokens
 
 
@@ -255,7 +285,3 @@ def _scheduler(path: Path) -> dict[str, Any]:
             "choose a Stable Diffusion 1.5 inpainting model."
         )
     return config
-
-
-def _plain(value: Any) -> Any:
-    return list(value) if isinstance(value, (list, tuple)) else value

@@ -12,9 +12,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ..camera import Camera
+from ..camera import Camera, look_at
 from ..fragments import ALPHA_CUT, ALPHA_MAX, T_MIN, flatten
 from ..picture import Picture
+from .compiled import is_compiled
 from .threads import parallel_for, row_ranges, thread_count
 
 Floats = NDArray[np.floating[Any]]
@@ -46,6 +47,17 @@ def draw(
     bands = row_ranges(height, min(height, 4 * thread_count()))
     parallel_for(_blend_rows, bands, record, box, tint, far, color, T, depth)
     return Picture(color, 1.0 - T, depth)
+
+
+def has_to_compile() -> bool:
+    """Whether the first picture waits until the kernel is compiled."""
+    return not is_compiled(_blend_rows)
+
+
+def compile_kernel() -> None:
+    """Draw one splat: compiles the kernel, or loads it from the user's cache."""
+    camera = look_at((0.0, -2.0, 0.0), (0.0, 0.0, 0.0), size=8)
+    draw(np.zeros((1, 3)), np.eye(1, 4), np.full((1, 3), 0.1), np.ones((1, 3)), np.ones(1), camera)
 
 
 @njit(cache=True, nogil=True)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...splats.components import connected_components
+from ...splats.components import connected_components, unique_edges
 from ...ticks import Tick, silent
 from ..laplacian import GraphLaplacian
 from .body_graph import BodyGraph
@@ -71,7 +71,7 @@ def follow_neighbours(weights: Array, graph: BodyGraph, selected: Array, tick: T
     count, k = graph.neighbour.shape
     source = np.repeat(np.arange(count), k)[graph.linked.ravel()]
     edges = np.stack([source, graph.neighbour[graph.linked]], axis=1)
-    edges = np.unique(np.sort(edges[selected[edges].any(axis=1)], axis=1), axis=0)
+    edges = unique_edges(edges[selected[edges].any(axis=1)])
     piece = connected_components(count, *edges[selected[edges].all(axis=1)].T)
     beside = edges[selected[edges].sum(axis=1) == 1]
     held = np.zeros(count, bool)

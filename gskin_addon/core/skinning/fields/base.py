@@ -10,11 +10,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from ...ticks import Tick, silent
 from . import LOG_FLOOR
 
 
 class WeightField(torch.nn.Module):
-    """weights = softmax(log of the initial weights + learned logits), at the N splats that it was made for.
+    """weights = softmax(prior + learned logits), at the N splats that it was made for; the prior is the log of the
+    initial weights.
 
     rate: Adam's learning rate as a factor of the preset's, which is meant for parameters that are logits.
     """
@@ -26,12 +28,23 @@ class WeightField(torch.nn.Module):
         super().__init__()
         floor = np.maximum(np.asarray(initial, np.float64), LOG_FLOOR)
         prior = np.log(floor / floor.sum(1, keepdims=True)).astype(np.float32)
-        self.register_buffer("_prior", torch.from_numpy(prior), persistent=False)
+        self.register_buffer("_initial", torch.from_numpy(prior), persistent=False)
+        self._initial: torch.Tensor
+        # What the learned logits are added to; a field that needs no prior puts a zero there.
+        self.register_buffer("_prior", self._initial, persistent=False)
         self._prior: torch.Tensor
 
     def initial(self) -> torch.Tensor:
         """The initial weights (N, B) of the field: at least about `LOG_FLOOR`."""
-        return self._prior.exp()
+        return self._initial.exp()
+
+    def fit(self, tick: Tick = silent) -> dict[str, float]:
+        """Bring the weights to the initial ones before anything is learned, where they do not start there anyway.
+
+        Returns numbers for the report: "steps" and the root mean square "error" of a weight; nothing where nothing had
+        to be done. `tick` takes the part that is done.
+        """
+        return {}
 
     def query(self, points: NDArray[Any]) -> tuple[NDArray[np.float32], NDArray[np.bool_]] | None:
         """Learned logits (M, B) at other points (M, 3), and where they are known (M,); None if the field is no function

@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from ...errors import InputError
 from .base import WeightField
 from .sparse import Cube, SparseProduct, corners_and_weights, flat_key, trilinear_matrix
 
@@ -67,12 +66,5 @@ class SparsePyramid(WeightField):
 
 
 def create(points: NDArray[Any], initial: NDArray[Any], resolutions: Sequence[int] = PYRAMID) -> SparsePyramid:
-    """See `SparsePyramid`; resolutions: voxels along the longest side, coarse to fine.
-
-    Raises:
-        InputError: no resolutions, or one that is not a whole number from 2 up.
-    """
-    sizes = resolutions if isinstance(resolutions, list | tuple) else ()
-    if not sizes or any(not isinstance(size, int) or size < 2 for size in sizes):
-        raise InputError(f"The pyramid's resolutions are {resolutions!r}; they must be whole numbers from 2 up.")
+    """See `SparsePyramid`; resolutions: voxels along the longest side, coarse to fine; see `check_options`."""
     return SparsePyramid(points, initial, resolutions)

@@ -10,7 +10,8 @@ from typing import Any
 import torch
 from numpy.typing import NDArray
 
-from ...errors import InputError
+from ...ticks import Tick, silent
+from . import FIT_STEPS, RESOLUTION
 from .base import WeightField
 from .sparse import CORNERS, SparseProduct, trilinear_matrix, unit_cube
 from .upsample import SparseUpsample, coarse_places
@@ -32,8 +33,8 @@ class WeightVolume(WeightField):
     Only voxels that a splat reads, directly or through later layers, are computed.
 
     start "prior": the prior is the log of the initial weights and the last layer is zero, so that step 0
-    equals the initial weights, as HumanNeRF does it. start "fit": as in the paper, without a prior; the decoder is
-    first trained to reproduce the initial weights by L_init (Eq. 8).
+    equals the initial weights, as HumanNeRF does it. start "fit": as in the paper, without a prior; `fit` trains the
+    decoder to reproduce the initial weights by L_init (Sec. III-D, Initialization).
     """
 
     # Parameters of a deep decoder, not logits: 0.1 as learning rate becomes 5e-4.
@@ -43,19 +44,21 @@ class WeightVolume(WeightField):
         self,
         points: NDArray[Any],
         initial: NDArray[Any],
-        resolution: int = 128,
+        resolution: int = RESOLUTION,
         width: int = WIDTH,
         start: str = "prior",
-        fit_steps: int = 500,
+        fit_steps: int = FIT_STEPS,
         seed: int = 0,
     ) -> None:
         """points (N, 3) in any unit; initial (N, B) weights with rows that sum to 1; resolution: a power of 2.
 
-        Raises:
-            InputError: an option that cannot be used.
+        fit_steps: the most that `fit` takes. `check_options` says what else may be given.
         """
         super().__init__(initial)
-        _check(resolution, width, start, fit_steps)
+        self._fit_steps = 0
+        if start == "fit":
+            self._fit_steps = fit_steps
+            self._prior = torch.zeros(())
         matrix, at = trilinear_matrix(unit_cube(points), resolution)
         self._interpolate = SparseProduct(matrix)
         layers: list[SparseUpsample] = []
@@ -72,8 +75,6 @@ class WeightVolume(WeightField):
         layers.reverse()
         self._layers = torch.nn.ModuleList(layers)
         self._fill(layers, torch.Generator().manual_seed(seed))
-        if start == "fit":
-            self._fit(torch.as_tensor(initial, dtype=torch.float32), fit_steps)
 
     def residual(self) -> torch.Tensor:
         """Logits (N, B) read from the volume."""
@@ -82,6 +83,26 @@ class WeightVolume(WeightField):
             features = layer(features if number == 0 else _leaky(features))
         logits: torch.Tensor = self._interpolate(features)
         return logits
+
+    def fit(self, tick: Tick = silent) -> dict[str, float]:
+        """Minimise L_init, the squared distance to the initial weights, averaged over the splats, by Adam, until the
+        root mean square of a weight's error is `FIT_ENOUGH` or the steps are used up."""
+        if not self._fit_steps:
+            return {}
+        initial = self.initial()
+        adam = torch.optim.Adam(self.parameters(), lr=FIT_RATE)
+        steps, error = 0, math.inf
+        while True:
+            square = (self() - initial).square()
+            error = float(square.detach().mean().sqrt())
+            if error < FIT_ENOUGH or steps == self._fit_steps:
+                break
+            adam.zero_grad()
+            square.sum(dim=1).mean().backward()
+            adam.step()
+            steps += 1
+            tick(steps / self._fit_steps)
+        return {"steps": steps, "error": error}
 
     def _fill(self, layers: list[SparseUpsample], generator: torch.Generator) -> None:
         """Random weights that keep the size of the features from layer to layer; zeros in the last."""
@@ -95,17 +116,6 @@ class WeightVolume(WeightField):
                 weight.normal_(0, _spread(weight.shape[1]), generator=generator)
             last.zero_()
 
-    def _fit(self, initial: torch.Tensor, steps: int) -> None:
-        self._prior.zero_()
-        adam = torch.optim.Adam(self.parameters(), lr=FIT_RATE)
-        for _ in range(steps):
-            square = (self() - initial).square()
-            if float(square.detach().mean()) < FIT_ENOUGH**2:
-                break
-            adam.zero_grad()
-            square.sum(dim=1).mean().backward()
-            adam.step()
-
 
 def decoder_widths(resolution: int, width: int = WIDTH) -> list[int]:
     """Channels of the hidden grids of 2, 4, ... resolution / 2 voxels: 512-512-256-256-128-128 for 128."""
@@ -115,10 +125,10 @@ def decoder_widths(resolution: int, width: int = WIDTH) -> list[int]:
 def create(
     points: NDArray[Any],
     initial: NDArray[Any],
-    resolution: int = 128,
+    resolution: int = RESOLUTION,
     width: int = WIDTH,
     start: str = "prior",
-    fit_steps: int = 500,
+    fit_steps: int = FIT_STEPS,
 ) -> WeightVolume:
     """See `WeightVolume`; width: channels of the decoder's first voxel (the paper's decoder: 1024)."""
     return WeightVolume(points, initial, resolution, width, start, fit_steps)
@@ -131,13 +141,3 @@ def _leaky(x: torch.Tensor) -> torch.Tensor:
 def _spread(inputs: int) -> float:
     return math.sqrt(2.0 / (1.0 + SLOPE**2) / inputs)
 
-
-def _check(resolution: int, width: int, start: str, fit_steps: int) -> None:
-    if resolution not in (4, 8, 16, 32, 64, 128, 256):
-        raise InputError(f"The weight volume's resolution is {resolution!r}; it must be a power of 2 from 4 to 256.")
-    if not isinstance(width, int) or width < 8:
-        raise InputError(f"The weight volume's width is {width!r}; it must be a whole number from 8 up.")
-    if start not in ("prior", "fit"):
-        raise InputError(f"The weight volume's start is {start!r}; choose prior or fit.")
-    if not isinstance(fit_steps, int) or fit_steps < 1:
-        raise InputError(f"The weight volume's fit_steps is {fit_steps!r}; it must be a whole number from 1 up.")

@@ -64,8 +64,11 @@ class DragLoss(nn.Module):
 
 
 def trained_parameters(model: LightningDrag) -> dict[str, nn.Parameter]:
-    """What LightningDrag's own training changes: point embedding, self-attentions' norms and projections, and the
-    appearance encoder. The rest stays as it is."""
+    """What is trained: point embedding, self-attentions' norms and projections, and the appearance encoder.
+
+    Assumed from what LightningDrag's paper describes (Shi et al. 2024); its repository is for inference only, and
+    G-Skin does not say which parameters its fine-tuning changes. The rest stays as it is.
+    """
     parts = {"points": model.point_embedding, "appearance": model.appearance}
     found = {f"{part}.{name}": value for part, module in parts.items() for name, value in module.named_parameters()}
     for number in range(0, len(model.processors), 2):

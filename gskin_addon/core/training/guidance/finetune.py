@@ -270,7 +270,13 @@ def _sentence(facts: Mapping[str, Any], out: Path) -> str:
     before, after = (facts["validation"].get(when) for when in ("before", "after"))
     if not before or not after:
         return f"'{out}' was fine-tuned by {facts['updates']:,} updates; there were no pairs to validate on."
-    scores = ", ".join(
-        f"{name.upper()} {before[name]:.4g} -> {after[name]:.4g}" for name in ("psnr", "ssim", "lpips") if name in after
-    )
+    told = [
+        ", ".join(
+            f"{name.upper()} {before[kind + name]:.4g} -> {after[kind + name]:.4g}"
+            for name in ("psnr", "ssim", "lpips")
+            if kind + name in after
+        )
+        for kind in ("", "raw_")
+    ]
+    scores = " (raw images: ".join(part for part in told if part) + (")" if told[1] else "")
     return f"'{out}' was fine-tuned by {facts['updates']:,} updates; on {after['pairs']} held-out pairs {scores}."

@@ -31,7 +31,7 @@ MANIFEST, SHARDS = "manifest.json", "shards"
 
 @dataclass(frozen=True)
 class Pair:
-    """rest, posed (H, W, 3) uint8 sRGB; mask (H, W) bool, where they may differ; handles, targets (K, 2) float32
+    """rest, posed (H, W, 3) uint8 sRGB; mask (H, W) bool, where a model may paint; handles, targets (K, 2) float32
     pixel positions (x, y) of the displaced joints; asset: its name; view: index of the camera."""
 
     rest: NDArray[np.uint8]

@@ -107,9 +107,9 @@ def write_checkpoint(model: LightningDrag, out: Path, source: Path, facts: Mappi
     weights = out / APPEARANCE / "diffusion_pytorch_model.safetensors"
     with replaced(weights) as temporary:
         save_file(plain, temporary, metadata={"format": "pt"})
-    config = out / APPEARANCE / "config.json"
-    if not config.is_file():
-        shutil.copyfile(source / APPEARANCE / "config.json", config)
+    config, theirs = out / APPEARANCE / "config.json", source / APPEARANCE / "config.json"
+    if theirs.is_file() and not config.is_file():  # nobody reads it here, but it belongs to the layout
+        shutil.copyfile(theirs, config)
     for name, module in ((POINTS, model.point_embedding), (ATTENTION, model.processors)):
         state = {key: value.detach().float().cpu() for key, value in module.state_dict().items()}
         write_atomically(out / name, partial(torch.save, state))

@@ -15,7 +15,7 @@ from ...rig.quaternion import axis_angle_to_matrix
 from ...rig.skeleton import Skeleton
 from ...splats.cloud import SH_C0, SplatCloud
 from ...splats.from_mesh import sample_mesh
-from ..rigged import RiggedMesh, read_rigged_mesh
+from ..rigged import RiggedMesh, read_rigged_mesh, textured
 
 Array = NDArray[Any]
 
@@ -71,6 +71,7 @@ def sample_splats(mesh: RiggedMesh, rng: np.random.Generator) -> TrainingBody:
         below=rng.uniform(0.05, 0.3),
         scatter=float(np.exp(rng.uniform(np.log(5e-4), np.log(5e-3)))),
     )
+    cloud = textured(cloud, mesh, face, bary)
     sampled = np.einsum("nk,nkb->nb", bary, weights[mesh.faces[face]])
     sampled /= np.maximum(sampled.sum(1, keepdims=True), 1e-9)
     return TrainingBody(cloud, skeleton, sampled.astype(np.float32), sampled.sum(1) > 0.5)

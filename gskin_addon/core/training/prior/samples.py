@@ -20,7 +20,7 @@ from ...rig.skeleton import Skeleton
 from ...skinning.learned.describe import describe_body
 from ...skinning.learned.features import NAMES
 from ...skinning.learned.parts import neighbourhoods
-from ..rigged import RiggedMesh
+from ..rigged import RiggedMesh, textured
 from . import creatures
 from .examples import TrainingBody, augment, read_mesh_asset, sample_splats, without_unused_bones
 from .proportions import change_proportions
@@ -152,6 +152,7 @@ def _unchanged(mesh: RiggedMesh, rng: np.random.Generator) -> TrainingBody:
     from ...splats.from_mesh import sample_mesh
 
     cloud, face, bary = sample_mesh(mesh.verts, mesh.faces, mesh.corner_rgb, 6000, rng)
+    cloud = textured(cloud, mesh, face, bary)
     sampled = np.einsum("nk,nkb->nb", bary, weights[mesh.faces[face]])
     total = sampled.sum(1, keepdims=True)
     return TrainingBody(cloud, skeleton, (sampled / np.maximum(total, 1e-9)).astype(np.float32), total[:, 0] > 0.5)

@@ -22,9 +22,10 @@ from gskin_addon.core.guidance.lightning_drag.processors import install
 from gskin_addon.core.guidance.lightning_drag.weights import (
     load,
     load_appearance,
-    load_ip_adapter,
+    load_attention,
+    load_image_tokens,
     load_point_embedding,
-    load_strictly,
+    read_ip_adapter,
 )
 from gskin_addon.core.guidance.model_files import load_tensors
 from gskin_addon.core.guidance.options import LightningDragOptions
@@ -207,10 +208,10 @@ def read_one(folder, file, unet):
     elif file == LORA:
         merge_lora(unet, load_tensors(path, "LCM-LoRA"), f"The LCM-LoRA '{path}'")
     elif file == ADAPTER:
-        load_ip_adapter(path, install(unet, EMBEDDINGS), CLIP_WIDTH)
+        load_image_tokens(read_ip_adapter(path, install(unet, EMBEDDINGS)), CLIP_WIDTH, CONTEXT)
     elif file == ATTENTION:
-        state = load_tensors(path, "attention weights")
-        load_strictly(install(unet, EMBEDDINGS), state, f"The attention weights '{path}'")
+        processors = install(unet, EMBEDDINGS)
+        load_attention(path, processors, read_ip_adapter(folder / ADAPTER, processors))
     else:
         load_all(folder)
 
@@ -242,7 +243,7 @@ def read_one(folder, file, unet):
         (ENCODER, lambda s: s.pop("conv_in.bias"), "appearance encoder .* lacks the tensor 'conv_in.bias'"),
         (ENCODER, reshape("conv_norm_out.bias", (8,)), "has the tensor 'conv_norm_out.bias', unlike LightningDrag's"),
         (ENCODER, reshape("controlnet.bias", (8,)), "a tensor 'controlnet.bias' of another model"),
-        (ENCODER, reshape("conv_in.weight", (8, 9, 3, 3)), "does not fit its config.json .*conv_in.weight"),
+        (ENCODER, reshape("conv_in.weight", (8, 9, 3, 3)), "'conv_in.weight' as \\(8, 9, 3, 3\\), but the base model"),
         (LORA, reshape("lora_unet_conv_in.alpha", ()), "lacks one half of the layer 'conv_in'"),
         (LORA, reshape("lora_te_text_model.lora_up.weight", (1, 1)), "which the base model lacks"),
         (LORA, reshape("conv_in.weight", (1,)), "which is no part of a LoRA"),
@@ -261,6 +262,38 @@ def test_damaged_files_are_named(mine, file):
         load_all(mine)
 
 
+WEIGHTS = (
+    UNET,
+    "vae/diffusion_pytorch_model.safetensors",
+    "base/text_encoder/model.safetensors",
+    "ip_adapter/models/image_encoder/model.safetensors",
+    ENCODER,
+    POINTS,
+    ATTENTION,
+    ADAPTER,
+    LORA,
+)
+
+
+@pytest.mark.parametrize("file", WEIGHTS)
+@pytest.mark.parametrize("part", [0.0, 0.7])
+def test_files_that_end_too_early_are_named_with_what_to_do(mine, unet, file, part):
+    path = mine / file
+    data = path.read_bytes()
+    path.write_bytes(data[: int(part * len(data))])
+    with pytest.raises(InputError, match=f"{path.parent}.*get (the file|its files) again"):
+        read_one(mine, file, unet)
+
+
+@pytest.mark.parametrize(
+    ("file", "other"), [(POINTS, ATTENTION), (ATTENTION, POINTS), (ADAPTER, POINTS), (ENCODER, UNET), (LORA, UNET)]
+)
+def test_the_weights_of_something_else_are_named_with_what_to_do(mine, unet, file, other):
+    shutil.copyfile(mine / other, mine / file)
+    with pytest.raises(InputError, match=f"{mine / file}.*(get the right file|choose )"):
+        read_one(mine, file, unet)
+
+
 def test_a_pickle_with_code_in_it_is_not_run(tmp_path):
     class Evil:
         def __reduce__(self):
@@ -273,13 +306,103 @@ def test_a_pickle_with_code_in_it_is_not_run(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
-def test_models_that_do_not_belong_together_are_refused(mine, models):
-    edit_config(mine / "lightning_drag/appearance_encoder/config.json", block_out_channels=[8, 16, 16, 16])
-    with pytest.raises(InputError, match="has block_out_channels"):
-        load_all(mine)
-    edit_config(mine / "lightning_drag/appearance_encoder/config.json", in_channels=9)
-    with pytest.raises(InputError, match="takes 9 channels, not 4"):
-        load_appearance(mine / "lightning_drag/appearance_encoder", tiny_unet(9).config, torch.float32)
+def test_the_appearance_encoders_config_may_hold_anything(mine):
+    """The original builds it from the base model's configuration."""
+    config = mine / "lightning_drag/appearance_encoder/config.json"
+    edit_config(config, block_out_channels=[8, 16, 16, 16], in_channels=9, cross_attention_dim=3)
+    weights = load_file(mine / ENCODER)
+    for change in (None, lambda: config.write_text("not even JSON"), config.unlink):
+        if change is not None:
+            change()
+        state = load_appearance(config.parent, tiny_unet(9).config, torch.float32).state_dict()
+        assert state.keys() == weights.keys()
+        assert all(torch.equal(state[key], weights[key]) for key in weights)
+    load_all(mine, scheduler="ddim")
+
+
+def test_models_that_do_not_belong_together_are_refused(mine):
+    """An encoder of other widths is told by its tensors."""
+    with pytest.raises(InputError, match=r"'conv_in.bias' as \(8,.* but the base model needs .*belong together"):
+        load_appearance((mine / ENCODER).parent, tiny_unet(9, widths=(16, 16, 32, 32)).config, torch.float32)
+
+
+def without_adapter(state):
+    for key in [key for key in state if "_ip." in key]:
+        del state[key]
+
+
+def test_attention_weights_without_the_adapters_are_whole_once_merged(mine):
+    """The published file has the size of the 48 tensors of the self-attentions; the other 32 are the IP-Adapter's."""
+    spoil(mine / ATTENTION, without_adapter)
+    own = torch.load(mine / ATTENTION, weights_only=True)
+    adapter = torch.load(mine / ADAPTER, weights_only=True)["ip_adapter"]
+    assert (len(own), len(adapter)) == (48, 32)
+    state = load_all(mine, scheduler="ddim").processors.state_dict()
+    assert len(state) == 80
+    assert all(torch.equal(state[key], tensor) for key, tensor in {**own, **adapter}.items())
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_a_lack_is_blamed_on_the_file_that_should_have_it(mine, unet, whole):
+    """Whichever of the two the attention file holds."""
+    if not whole:
+        spoil(mine / ATTENTION, without_adapter)
+    spoil(mine / ADAPTER, lambda s: s["ip_adapter"].pop("1.to_k_ip.weight"))
+    with pytest.raises(InputError, match=r"The IP-Adapter .* lacks the tensor '1\.to_k_ip\.weight'"):
+        read_one(mine, ATTENTION, unet)
+    shutil.copyfile(mine / ATTENTION, mine / ADAPTER)
+    with pytest.raises(InputError, match=r"The IP-Adapter .* does not belong there; choose ip-adapter_sd15"):
+        read_one(mine, ATTENTION, unet)
+
+
+TEXT, IMAGE = "base/text_encoder", "ip_adapter/models/image_encoder"
+
+
+@pytest.mark.parametrize("pickled", [False, True])
+def test_clip_files_of_the_old_layout_load(mine, models, pickled):
+    """As published: every name under `text_model.` or `vision_model.`, and the positions' numbers among the weights."""
+    wanted = load_all(models, scheduler="ddim")
+    for folder, stem, length in ((TEXT, "text_model", 77), (IMAGE, "vision_model", 5)):
+        path = mine / folder / "model.safetensors"
+        heads = (f"{stem}.", "visual_projection.")
+        state = {key if key.startswith(heads) else f"{stem}.{key}": v for key, v in load_file(path).items()}
+        state[f"{stem}.embeddings.position_ids"] = torch.arange(length)[None]
+        path.unlink()
+        if pickled:
+            torch.save(state, path.with_name("pytorch_model.bin"))
+        else:
+            save_file(state, path, metadata={"format": "pt"})
+    model = load_all(mine, scheduler="ddim")
+    assert torch.equal(model.text, wanted.text)
+    for key, tensor in wanted.image_encoder.state_dict().items():
+        assert torch.equal(model.image_encoder.state_dict()[key], tensor), key
+
+
+def test_a_vae_of_the_old_layout_loads(mine, models):
+    """`sd-vae-ft-mse` calls its attention's parts query, key, value and proj_attn."""
+    path = mine / "vae/diffusion_pytorch_model.safetensors"
+    new = {"to_q": "query", "to_k": "key", "to_v": "value", "to_out.0": "proj_attn"}
+    state = {}
+    for key, tensor in load_file(path).items():
+        for name, old in new.items():
+            key = key.replace(f"attentions.0.{name}.", f"attentions.0.{old}.")
+        state[key] = tensor
+    assert any(".proj_attn." in key for key in state)
+    save_file(state, path, metadata={"format": "pt"})
+    ours, theirs = (load_all(folder, scheduler="ddim").vae.state_dict() for folder in (mine, models))
+    assert ours.keys() == theirs.keys()
+    assert all(torch.equal(ours[key], theirs[key]) for key in theirs)
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_everything_but_the_prompt_is_loaded_in_half_precision(mine, dtype):
+    model = load(find_files(LightningDragOptions(models=str(mine))), dtype)
+    for module in (*model.encoders, *model.denoisers):
+        assert {p.dtype for p in module.parameters()} == {dtype}
+    tuned = load(find_files(LightningDragOptions(models=str(mine))), dtype, trained=torch.float32)
+    assert {p.dtype for p in tuned.point_embedding.parameters()} == {torch.float32}
+    assert {p.dtype for p in tuned.appearance.parameters()} == {torch.float32}
+    assert {p.dtype for p in tuned.vae.parameters()} == {dtype}
 
 
 def test_half_precision_files_are_taken_where_there_are_no_others(mine):

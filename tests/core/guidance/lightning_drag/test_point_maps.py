@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 from gskin_addon.core.errors import InputError
-from gskin_addon.core.guidance.lightning_drag.point_maps import check_size, farthest_points, point_maps
+from gskin_addon.core.guidance.control import ControlSignal
+from gskin_addon.core.guidance.lightning_drag.point_maps import check_size, farthest_points, point_facts, point_maps
+from gskin_addon.core.render.camera import look_at
 
 
 def test_points_are_single_numbered_pixels():
@@ -62,3 +64,22 @@ def test_thinning_keeps_the_point_that_moves_most_and_joints_that_part():
     targets = handles + np.array([[1, 0], [0, 1], [30, 0], [1, 1], [0, 25], [2, 2]])
     _, kept = farthest_points(handles, targets, 2)
     np.testing.assert_array_equal(kept, targets[[2, 4]])
+
+
+def test_points_that_the_model_is_not_shown_are_counted():
+    camera = look_at((0, -1, 0), (0, 0, 0), size=(64, 64))
+
+    def signal(count, outside=0):
+        handles = np.linspace([5.0, 5], [60, 60], count) if count else np.zeros((0, 2))
+        targets = handles + (1, 2)
+        targets[:outside, 0] = -4
+        return ControlSignal(0, camera, np.zeros((0, 4, 4)), handles, targets)
+
+    signals = [signal(3), signal(25), signal(20, 2), signal(22), signal(0)]
+    expected = {"limit": 20, "images": 5, "images_over": 2, "points": 70, "dropped": 7, "outside": 2}
+    assert point_facts(signals, 20) == expected
+    for one, most in ((signals[1], 20), (signals[2], 20)):
+        shown = point_maps(*farthest_points(one.handles, one.targets, most), 64, 64)
+        counted = point_facts([one], most)
+        assert (shown[0] > 0).sum() == counted["points"] - counted["dropped"] - counted["outside"]
+    assert point_facts(signals, 0)["dropped"] == 0

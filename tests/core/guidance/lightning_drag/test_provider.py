@@ -144,6 +144,30 @@ def test_off_loading_moves_the_encoders_only_for_their_pass(model, frames, monke
     assert [module for module, _ in moves] == list(model.encoders) * 2
 
 
+@pytest.mark.parametrize(("dtype", "off"), [(torch.float16, 0.01), (torch.bfloat16, 0.08)])
+def test_half_precision_paints_the_same_picture_coarsely(models, model, frames, dtype, off):
+    """In a batch, off-loaded: what a small GPU would run, as far as a CPU can."""
+    half = weights.load(find_files(LightningDragOptions(models=str(models))), dtype)
+    brush = LightningDragPainter(
+        half, Schedule.of("lcm", 2), device=CPU, dtype=dtype, batch=len(frames), offload=True
+    )
+    seen = []
+    hooks = [
+        module.register_forward_pre_hook(lambda _module, given: seen.append(given[0].dtype))
+        for module in (half.unet, half.appearance, half.image_encoder, half.point_embedding)
+    ]
+    images = np.array(brush.paint(frames, silent))
+    for hook in hooks:
+        hook.remove()
+    assert set(seen) == {dtype}
+    assert images.dtype == np.float32
+    wanted = np.array(painter(model).paint(frames, silent))
+    assert np.isfinite(images).all()
+    assert 0 < np.abs(images - wanted).mean() < off
+    alone = [brush.paint([frame], silent)[0] for frame in frames]
+    assert np.abs(images - alone).mean() < off / 2
+
+
 def test_sizes_that_the_model_cannot_take_are_refused(model, frames):
     small = replace(frames[0], mask=np.ones((96, 64), bool))
     with pytest.raises(InputError, match="multiples of 64, not 64 x 96"):
@@ -210,12 +234,16 @@ def test_a_whole_job(models, tmp_path, monkeypatch):
     settings = {
         "preset": "draft",
         "guidance": "lightning_drag",
-        "options": {"models": str(models), "scheduler": "ddim", "steps": 2},
+        "options": {"models": str(models), "scheduler": "ddim", "steps": 2, "max_points": 1},
     }
     outcome = job.run(limb.cloud, limb.skeleton, settings, lambda *what: stages.append(what), tmp_path)
     assert outcome.weights.shape == limb.weights.shape
     np.testing.assert_allclose(outcome.weights.sum(1), 1, atol=1e-5)
     assert outcome.report["guidance_images"] == 4
+    points = outcome.report["control_points"]
+    assert (points["limit"], points["images"], points["dropped"]) == (1, 4, points["points"] - 4)
+    assert points["dropped"] > 0
+    assert any("are left out (option max_points)" in message for _, _, _, message, *_ in stages)
     assert any(message == "Loading LightningDrag" for _, _, _, message, *_ in stages)
 
 

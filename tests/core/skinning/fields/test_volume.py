@@ -67,8 +67,34 @@ def test_fit_is_the_papers_warm_up():
     limb = make_limb(400)
     start = disturbed(limb)
     field = WeightVolume(limb.cloud.means, start, 16, 64, start="fit", fit_steps=300)
+    told = field.fit()
+    assert 0 < told["steps"] <= 300
     assert float(field._prior.abs().max()) == 0
     assert np.abs(field().detach().numpy() - start).mean() < 0.06  # the steps in them are 0.7 high
+
+
+def test_the_fit_tells_how_far_it_is_and_ends_when_it_is_good():
+    limb = make_limb(300)
+    start = disturbed(limb)
+    ticks: list[float] = []
+    field = WeightVolume(limb.cloud.means, start, 16, 64, start="fit", fit_steps=5)
+    assert field.fit(ticks.append)["steps"] == 5
+    np.testing.assert_allclose(ticks, [0.2, 0.4, 0.6, 0.8, 1.0])
+    # A body that one bone moves is fitted within few steps.
+    still = np.tile(np.float32([1, 0, 0]), (300, 1))
+    field = WeightVolume(limb.cloud.means, still, 16, 64, start="fit", fit_steps=300)
+    told = field.fit()
+    assert told["steps"] < 100
+    assert told["error"] == pytest.approx(np.sqrt(np.square(field().detach().numpy() - still).mean()), abs=1e-3)
+    assert WeightVolume(limb.cloud.means, start, **SMALL).fit() == {}
+
+
+def test_without_a_prior_the_initial_weights_are_still_known():
+    """They are what splats keep that may not change, and what an anchor pulls to."""
+    limb = make_limb(200)
+    start = disturbed(limb)
+    field = WeightVolume(limb.cloud.means, start, 16, 64, start="fit")
+    np.testing.assert_allclose(field.initial(), start, rtol=1e-4, atol=1e-4)
 
 
 def test_it_learns_the_limb_from_perfect_guidance():

@@ -101,6 +101,11 @@ def test_four_pairs_are_learned_and_the_guidance_takes_the_result(pairs, models,
     assert after["ssim"] > before["ssim"]
     assert after["lpips"] < before["lpips"]
     assert f"PSNR {before['psnr']:.4g} -> {after['psnr']:.4g}" in sentence
+    # Outside the mask a raw image may differ from the rest view; the composited one does not.
+    assert after["raw_psnr"] < after["psnr"]
+    assert after["raw_psnr"] > before["raw_psnr"]
+    assert {"raw_ssim", "raw_lpips"} < set(after)
+    assert f"(raw images: PSNR {before['raw_psnr']:.4g} -> {after['raw_psnr']:.4g}, SSIM" in sentence
     assert [done for done, _ in said] == sorted(done for done, _ in said)
 
     tuned, start = read(out), read(models / "lightning_drag")

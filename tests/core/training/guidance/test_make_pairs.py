@@ -10,12 +10,15 @@ import pytest
 from rigged_assets import write_collection, write_tube
 
 from gskin_addon.core.errors import Cancelled, InputError
+from gskin_addon.core.guidance.control import make_signals
+from gskin_addon.core.guidance.diffusion import DiffusionGuidance
+from gskin_addon.core.guidance.provider import GuidanceContext
 from gskin_addon.core.render.camera import paper_views
 from gskin_addon.core.training.guidance.make_pairs import PairScene, PairSettings, make_pairs
 from gskin_addon.core.training.guidance.pairs import PairDataset, read_manifest
 from gskin_addon.core.training.rigged import load_asset
 
-SETTINGS = PairSettings(poses_per_view=3, size=64, splats=600, seed=2, validation=0.3, shard=5)
+SETTINGS = PairSettings(poses_per_view=3, size=64, splats=600, seed=2, validation=0.3, shard=5, true_masks=1.0)
 
 
 def silent(done, message):
@@ -66,6 +69,57 @@ def test_points_are_where_the_joints_are(assets):
         assert np.linalg.norm(seen - point, axis=1).min() < 1e-3
     size = np.linalg.norm(np.ptp(scene.asset.cloud.means, axis=0))
     assert size == pytest.approx(1.0, abs=0.01)  # unit size, as Eq. 6 wants it
+
+
+def test_a_pairs_mask_is_the_one_that_a_provider_is_given(assets):
+    """With its holes; in a share of the pairs what truly changes belongs to it, too."""
+    scene = PairScene(load_asset(assets / "npz" / "fox_1.npz", 600), 64)
+    # Weights that are wrong enough for the mask to have holes.
+    scene.initial = np.roll(scene.initial, 1, axis=1)
+    context = GuidanceContext(scene.asset.cloud, scene.asset.skeleton, scene.initial, np.zeros_like(scene.initial))
+    seen = []
+
+    class Watching:
+        batch = 1
+
+        def paint(self, frames, tick):
+            seen.extend(frame.mask for frame in frames)
+            return [frame.rest for frame in frames]
+
+    guidance = DiffusionGuidance(context, Watching, {})
+    holes, number = 0, 0
+    for view, camera in enumerate(scene.cameras):
+        pair = scene.pair(view, np.random.default_rng(view), true_masks=0.0)
+        (signal,) = make_signals(scene.asset.skeleton, [camera], 1, np.random.default_rng(view))
+        if pair is None or not np.allclose(pair.handles, signal.handles):
+            continue  # the first pose changed nothing
+        list(guidance.images([replace(signal, view=view)]))
+        np.testing.assert_array_equal(pair.mask, seen[-1])
+        whole = scene.pair(view, np.random.default_rng(view), true_masks=1.0)
+        np.testing.assert_array_equal(whole.posed, pair.posed)
+        assert (whole.mask >= pair.mask).all()
+        differs = np.abs(pair.rest.astype(int) - pair.posed).max(-1) > 6
+        holes += (differs & ~pair.mask).sum() - (differs & ~whole.mask).sum()
+        number += 1
+    assert number > 1
+    assert holes > 20
+
+
+def test_a_share_of_the_pairs_has_true_masks(assets):
+    scene = PairScene(load_asset(assets / "npz" / "fox_1.npz", 600), 64)
+    scene.initial = np.roll(scene.initial, 1, axis=1)
+
+    def masks(share):
+        return [scene.pair(0, np.random.default_rng(k), share).mask for k in range(30)]
+
+    none, half, every = masks(0.0), masks(0.5), masks(1.0)
+    kinds = [
+        (np.array_equal(mask, without), np.array_equal(mask, whole))
+        for mask, without, whole in zip(half, none, every, strict=True)
+    ]
+    told = [kind for kind in kinds if kind != (True, True)]  # where the two differ
+    assert set(told) == {(True, False), (False, True)}
+    assert 0.2 < np.mean([whole for _, whole in told]) < 0.8
 
 
 def test_a_scene_that_nothing_moves_gives_no_pair(assets, monkeypatch):

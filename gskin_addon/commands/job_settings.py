@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Settings of a job from the options of `gskin rig`, and from NAME=VALUE pairs."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from ..core.errors import InputError
+
+_OF_PRESETS = ("init", "max_influences", "views")
+"""Options that a preset decides where they are not given."""
+
+
+def job_settings(options: argparse.Namespace, of_guidance: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings that were asked for; what is left out is the preset's or the job's own default.
+
+    of_guidance: the guidance's settings, of the types that it wants.
+
+    Raises:
+        InputError: a pair that is none.
+    """
+    settings = {
+        "preset": options.preset,
+        "guidance": options.guidance,
+        "field": options.field,
+        "rasterizer": options.rasterizer,
+        "seed": options.seed,
+        "front": options.front,
+        "init_options": {"model": str(options.init_model.absolute())} if options.init_model else {},
+        "options": dict(of_guidance),
+    }
+    settings |= {name: getattr(options, name) for name in _OF_PRESETS if getattr(options, name) is not None}
+    if options.loss:
+        settings["losses"] = parse_options(options.loss, "--loss")
+    if options.field_option:
+        settings["field_options"] = parse_options(options.field_option, "--field-option")
+    return settings
+
+
+def parse_options(given: list[str], option: str = "--guidance-option") -> dict[str, Any]:
+    """NAME=VALUE pairs of `option` as settings; a value that is JSON (a number, true) is taken as such, else as text.
+
+    Raises:
+        InputError: a pair that is none.
+    """
+    values: dict[str, Any] = {}
+    for pair in given:
+        name, equals, text = pair.partition("=")
+        if not name or not equals:
+            raise InputError(f"{option} '{pair}' is not NAME=VALUE.")
+        try:
+            values[name] = json.loads(text)
+        except ValueError:
+            values[name] = text
+    return values

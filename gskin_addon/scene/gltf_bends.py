@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bendy bones as joints, while Blender's glTF exporter runs: glTF has bones of one matrix only.
+
+A bone of n segments gets n + 1 children, one in the plane of every joint between segments, that copy what the joint
+does; Blender's exporter samples them like any constrained bone. Splats follow two of them each, as Blender's Armature
+modifier blends them. All of it happens on copies of armature and mesh, which go when the export is done.
+
+Blender bends a stretched bone as if it were not, and stretches each segment along its own axes. So between the bone
+and those children is one that takes the bone's scale away: what is left for each node is a rotation and a scale of its
+axes, as glTF has it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.rig.bendy import BendyBone
+from .armature import bends_of, deform_bone_names
+from .bone_frames import armature_of
+from .deform_stack import bendy_bones
+from .handlers import paused
+from .splat_object import is_splat_object, read_cloud
+from .vertex_groups import add_groups
+from .weights import read_weights
+
+Array = NDArray[Any]
+
+
+def can_be_joints(armature: bpy.types.Object) -> bool:
+    """Whether bones can be added to a copy of the armature's data: not so where the object is linked or overridden."""
+    return armature.library is None and armature.override_library is None
+
+
+@contextmanager
+def bends_as_joints(objects: Sequence[bpy.types.Object]) -> Iterator[int]:
+    """Inside the block the bendy bones that move these splats are chains of bones, and the splats follow those.
+
+    Gives the largest number of bones of a splat, 0 where there is nothing to do. The armatures must be in the view
+    layer, evaluated and selectable.
+    """
+    most = 0
+    splats = [obj for obj in objects if is_splat_object(obj) and bendy_bones(obj)]
+    rigs = [rig for rig in dict.fromkeys(armature_of(obj) for obj in splats) if rig is not None and can_be_joints(rig)]
+    if not rigs:
+        yield most
+        return
+    with paused(), ExitStack() as stack:
+        for rig in rigs:
+            followers = [obj for obj in splats if armature_of(obj) == rig]
+            bends = _wanted(rig, followers)
+            split = [(obj, *split_weights(obj, bends)) for obj in followers]
+            plain = [bone for bone in deform_bone_names(rig) if bone not in bends]
+            names = stack.enter_context(_with_joints(rig, bends))
+            for obj, weights, parts in split:
+                others, _ = read_weights(obj, plain)
+                most = max(most, int(((weights > 0).sum(axis=1) + (others > 0).sum(axis=1)).max(initial=0)))
+                stack.enter_context(_following(obj, list(bends), weights, [names[part] for part in parts]))
+        bpy.context.view_layer.update()
+        yield most
+
+
+def split_weights(
+    obj: bpy.types.Object, bends: Mapping[str, BendyBone]
+) -> tuple[Array, list[tuple[str, int]]]:
+    """Weights (N, K) of the joints of the bones `bends`, and which these are: name of the bone, number of the joint."""
+    points = read_cloud(obj).means.astype(np.float64)
+    given, _ = read_weights(obj, list(bends))
+    columns: list[Array] = []
+    parts: list[tuple[str, int]] = []
+    for weight, (name, bend) in zip(given.T, bends.items(), strict=True):
+        first, share, _ = bend.place(points)
+        for joint in range(bend.segments + 1):
+            held = np.where(first == joint, 1 - share, np.where(first + 1 == joint, share, 0.0))
+            columns.append((weight * held).astype(np.float32))
+            parts.append((name, joint))
+    return np.stack(columns, axis=1), parts
+
+
+def _wanted(rig: bpy.types.Object, followers: Sequence[bpy.types.Object]) -> dict[str, BendyBone]:
+    """The bendy bones of the rig that move one of the splat objects, as they are now."""
+    order, used = deform_bone_names(rig), {name for obj in followers for name in bendy_bones(obj)}
+    return {order[place]: bend for place, bend in bends_of(rig).items() if order[place] in used}
+
+
+@contextmanager
+def _with_joints(rig: bpy.types.Object, bends: Mapping[str, BendyBone]) -> Iterator[dict[tuple[str, int], str]]:
+    """The rig has bones for the joints of its bendy bones; gives their names."""
+    data: Any = rig.data
+    copy = data.copy()
+    name = data.name
+    evaluated: Any = rig.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    rest = {
+        bone: [evaluated.pose.bones[bone].bbone_segment_matrix(k, rest=True) for k in range(bend.segments + 1)]
+        for bone, bend in bends.items()
+    }
+    data.name, copy.name = f"{name} (GSkin Export)", name
+    rig.data = copy
+    try:
+        names = _add_bones(rig, rest)
+        for (bone, joint), added in names.items():
+            copied: Any = rig.pose.bones[added].constraints.new("COPY_TRANSFORMS")
+            copied.target, copied.subtarget = rig, bone
+            copied.head_tail, copied.use_bbone_shape = joint / bends[bone].segments, True
+            unscaled: Any = rig.pose.bones[added].parent
+            if not unscaled.constraints:
+                taken: Any = unscaled.constraints.new("COPY_SCALE")
+                taken.target, taken.subtarget, taken.power = rig, bone, -1
+                taken.target_space, taken.owner_space = "POSE", "LOCAL"
+        yield names
+    finally:
+        rig.data = data
+        bpy.data.armatures.remove(copy)
+        data.name = name
+
+
+def _add_bones(rig: bpy.types.Object, rest: Mapping[str, list[Any]]) -> dict[tuple[str, int], str]:
+    """Add a bone for the scale to take away, and below it the joints, for every bone of `rest`; the joints' names."""
+    layer = bpy.context.view_layer
+    layer.objects.active = rig
+    if rig.mode != "OBJECT":
+        bpy.ops.object.mode_set(mode="OBJECT")
+    bpy.ops.object.mode_set(mode="EDIT")
+    made = {}
+    try:
+        for name, steps in rest.items():
+            bone = rig.data.edit_bones[name]
+            unscaled = _child(rig, f"{name}.bend", bone, bone.matrix, bone.length)
+            for joint, step in enumerate(steps):
+                length = bone.length / (len(steps) - 1)
+                made[name, joint] = _child(rig, f"{name}.bend{joint}", unscaled, bone.matrix @ step, length)
+        # Blender may have changed a name that was too long or taken; bones of Edit Mode do not outlive it.
+        names = {key: bone.name for key, bone in made.items()}
+    finally:
+        bpy.ops.object.mode_set(mode="OBJECT")
+    return names
+
+
+def _child(rig: bpy.types.Object, name: str, parent: Any, matrix: Any, length: float) -> Any:
+    data: Any = rig.data
+    bone = data.edit_bones.new(name)
+    bone.parent, bone.use_connect, bone.use_deform, bone.bbone_segments = parent, False, True, 1
+    bone.head, bone.tail = (0, 0, 0), (0, length, 0)
+    bone.matrix = matrix
+    bone.length = length
+    return bone
+
+
+@contextmanager
+def _following(
+    obj: bpy.types.Object, bones: Sequence[str], weights: Array, joints: Sequence[str]
+) -> Iterator[None]:
+    """The splats follow the joints of bendy bones, and these themselves no more."""
+    data: Any = obj.data
+    mesh = data.copy()
+    name = data.name
+    data.name, mesh.name = f"{name} (GSkin Export)", name
+    obj.data = mesh
+    try:
+        for group in [group for group in obj.vertex_groups if group.name in bones]:
+            obj.vertex_groups.remove(group)
+        add_groups(obj, joints, weights)
+        yield
+    finally:
+        obj.data = data
+        bpy.data.meshes.remove(mesh)
+        data.name = name

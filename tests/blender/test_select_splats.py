@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The select operators in Edit Mode and Weight Paint, and the ways in which selections meet."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import rig_scenes as rigs
+import splat_clouds as clouds
+
+bpy = pytest.importorskip("bpy")
+import bmesh
+
+import gskin_addon
+from gskin_addon.core.splats.cloud import SH_C0
+from gskin_addon.operators._selecting import combined
+from gskin_addon.scene import names
+from gskin_addon.scene.fabric import iter_make_fabric
+from gskin_addon.scene.seams import write_seams
+from gskin_addon.scene.splat_object import create_splat_object, read_cloud
+from gskin_addon.scene.steps import run_to_end
+from gskin_addon.scene.weights import read_weights, write_weights
+
+COUNT, BONES = 400, 4
+
+
+@pytest.fixture(scope="module")
+def session():
+    """A sphere of splats, red above and blue below, one half of it not sure."""
+    gskin_addon.register()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    rng = np.random.default_rng(4)
+    cloud = clouds.random_cloud(COUNT, 0)
+    means = rng.normal(size=(COUNT, 3))
+    cloud.means[:] = means / np.linalg.norm(means, axis=1, keepdims=True)
+    upper = cloud.means[:, 2] > 0
+    cloud.sh[:, 0] = (np.where(upper[:, None], (0.8, 0.1, 0.1), (0.1, 0.1, 0.8)) - 0.5) / SH_C0
+    obj, armature = create_splat_object(cloud, "S"), rigs.make_chains(BONES, rng)
+    sure = np.where(np.abs(cloud.means[:, 0]) > 0.8, 0.1, 0.9) + rng.uniform(0, 0.01, COUNT)
+    write_weights(obj, armature, rigs.random_weights(cloud, BONES, rng), confidence=sure)
+    run_to_end(iter_make_fabric(obj))
+    bpy.context.view_layer.objects.active = obj
+    obj.select_set(True)
+    yield obj
+    gskin_addon.unregister()
+
+
+@pytest.fixture
+def splats(session):
+    if session.mode != "OBJECT":
+        bpy.ops.object.mode_set(mode="OBJECT")
+    session.data.vertices.foreach_set("hide", np.zeros(COUNT, bool))
+    select(session, np.zeros(COUNT, bool))
+    return session
+
+
+def select(obj, mask):
+    obj.data.vertices.foreach_set("select", mask)
+    obj.data.update()
+
+
+def selected(obj):
+    """What Edit Mode has selected, after leaving it."""
+    mode = obj.mode
+    if mode == "EDIT":
+        bpy.ops.object.mode_set(mode="OBJECT")
+    mask = np.zeros(COUNT, bool)
+    obj.data.vertices.foreach_get("select", mask)
+    return mask
+
+
+def test_ways_of_selecting():
+    before, found = np.array([1, 1, 0, 0], bool), np.array([1, 0, 1, 0], bool)
+    assert {way: combined(way, before, found).astype(int).tolist() for way in ("SET", "ADD", "SUB", "AND")} == {
+        "SET": [1, 0, 1, 0], "ADD": [1, 1, 1, 0], "SUB": [0, 1, 0, 0], "AND": [1, 0, 0, 0],
+    }  # fmt: skip
+
+
+def test_by_bone_with_every_way_and_hidden_splats(splats):
+    weights, bones = read_weights(splats)
+    wanted = weights[:, 1] >= 0.4
+    assert 10 < wanted.sum() < COUNT - 10
+    assert bpy.ops.gskin.select_by_bone(bone=bones[1], least=0.4) == {"FINISHED"}
+    assert splats.mode == "EDIT"
+    np.testing.assert_array_equal(selected(splats), wanted)
+    splats.vertex_groups.active_index = splats.vertex_groups.find(bones[2])
+    bpy.ops.gskin.select_by_bone(least=0.4, mode="ADD")
+    np.testing.assert_array_equal(selected(splats), wanted | (weights[:, 2] >= 0.4))
+    bpy.ops.gskin.select_by_bone(bone=bones[1], least=0.4, mode="SUB")
+    assert not (selected(splats) & wanted).any()
+    hidden = np.arange(COUNT) % 2 == 0
+    splats.data.vertices.foreach_set("hide", hidden)
+    bpy.ops.gskin.select_by_bone(bone=bones[1], least=0.4)
+    np.testing.assert_array_equal(selected(splats), wanted & ~hidden)
+    with pytest.raises(RuntimeError, match="no deform bone"):
+        bpy.ops.gskin.select_by_bone(bone="nobody")
+
+
+def test_edges_and_faces_between_go_along(splats):
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.ops.gskin.select_by_bone(bone="bone.001", least=0.3)
+    work = bmesh.from_edit_mesh(splats.data)
+    for element in (*work.edges, *work.faces):
+        assert element.select == all(vert.select for vert in element.verts)
+    assert 10 < sum(face.select for face in work.faces) < len(work.faces) - 10
+
+
+def test_by_color_of_the_selected_or_the_active_splat(splats):
+    upper = read_cloud(splats).sh[:, 0, 0] > 0
+    with pytest.raises(RuntimeError, match="select one of the colour"):
+        bpy.ops.gskin.select_by_color()
+    select(splats, np.arange(COUNT) == np.flatnonzero(upper)[0])
+    bpy.ops.gskin.select_by_color(tolerance=0.05)
+    np.testing.assert_array_equal(selected(splats), upper)
+    bpy.ops.gskin.select_by_color(color=(0.1, 0.1, 0.8))
+    np.testing.assert_array_equal(selected(splats), ~upper)
+    bpy.ops.object.mode_set(mode="EDIT")
+    work = bmesh.from_edit_mesh(splats.data)
+    work.verts.ensure_lookup_table()
+    vert = work.verts[int(np.flatnonzero(upper)[3])]
+    vert.select_set(True)
+    work.select_history.add(vert)
+    bpy.ops.gskin.select_by_color()
+    np.testing.assert_array_equal(selected(splats), upper)
+
+
+def test_linked_stops_at_seams_and_grows_along_the_body(splats):
+    means = read_cloud(splats).means
+    start = np.zeros(COUNT, bool)
+    start[means[:, 2].argmax()] = True
+    select(splats, start)
+    bpy.ops.gskin.select_linked_splats()
+    assert selected(splats).mean() > 0.95
+    band = np.abs(means[:, 2]) < 0.6
+    write_seams(splats, np.where(band, np.where(means[:, 2] > 0, 1, 2), 0))
+    select(splats, start)
+    bpy.ops.gskin.select_linked_splats()
+    assert (selected(splats) == (means[:, 2] > 0)).mean() > 0.97
+    write_seams(splats, None)
+    select(splats, start)
+    bpy.ops.gskin.grow_splat_selection(unit="LENGTH", length=0.7)
+    near = selected(splats)
+    angle = np.arccos(np.clip(means @ means[start][0], -1, 1))
+    assert near[angle < 0.5].all()
+    assert not near[angle > 0.72].any()
+    bpy.ops.gskin.shrink_splat_selection(steps=2.0)
+    assert 0 < selected(splats).sum() < near.sum()
+
+
+def test_front_side_only(splats):
+    means = read_cloud(splats).means
+    select(splats, np.ones(COUNT, bool))
+    view = np.eye(4)
+    view[2, 3] = -5
+    lens = np.diag([0.5, 0.5, -0.02, 1.0])
+    bpy.ops.gskin.select_in_front(view=view.ravel(), lens=lens.ravel(), depth=3)
+    front = selected(splats)
+    assert front[means[:, 2] > 0.5].mean() > 0.9
+    assert front[means[:, 2] < -0.5].mean() < 0.2, "400 splats leave holes"
+    with pytest.raises(RuntimeError, match="No 3D view"):
+        bpy.ops.gskin.select_in_front()
+
+
+def test_in_weight_paint_the_mode_stays(splats):
+    bpy.ops.object.mode_set(mode="WEIGHT_PAINT")
+    assert bpy.ops.gskin.select_by_bone(bone="bone.001", least=0.4) == {"FINISHED"}
+    assert splats.mode == "WEIGHT_PAINT"
+    assert splats.data.use_paint_mask_vertex
+    np.testing.assert_array_equal(selected(splats), read_weights(splats)[0][:, 1] >= 0.4)
+
+
+def test_unsure_clusters_one_after_the_other(splats):
+    means = read_cloud(splats).means
+    sides = []
+    for step in (1, 1, 1, -1):
+        assert bpy.ops.gskin.next_unsure_cluster(step=step, worst=19.0) == {"FINISHED"}
+        mask = selected(splats)
+        sides.append(np.sign(means[mask, 0].mean()))
+        assert (np.abs(means[mask, 0]) > 0.75).all()
+        assert 15 < mask.sum() < 60
+    assert sides == [sides[0], -sides[0], sides[0], -sides[0]], "two caps, round and round"
+    bpy.ops.gskin.select_unsure_splats(worst=10, mode="ADD")
+    assert selected(splats).sum() > mask.sum()
+    assert names.CONFIDENCE in splats.data.attributes
