@@ -21,12 +21,8 @@ from ..core.job.mesh_files import read_mesh
 from ..core.job.progress import ProgressEvent
 from ..core.job.progress_text import ProgressPrinter
 from ..core.job.settings import JobSettings
-<<<<<<< HEAD
 from ..core.job.up_axis import AUTO, default_up, resolve_up
-=======
-from ..core.job.up_axis import default_up, resolve_up
 from ..core.pipeline.estimate import warning_of_time
->>>>>>> main
 from ..core.splats import formats
 from ..core.splats.axes import rotate_cloud, up_rotation
 from ..core.splats.cleanup import clamp_aspect, find_faint_giants, find_strays, isotropic
@@ -55,8 +51,8 @@ def run(options: argparse.Namespace) -> None:
     of_guidance = guidance_options(options)
     if options.weights is not None:
         check_output(options.weights, "--weights", (".npz",))
-    for given in (options.armature, options.splats, options.mesh):
-        if given is not None and same_file(given, options.out):
+    for given in (options.armature, options.splats, *([options.mesh] if options.mesh else [])):
+        if same_file(given, options.out):
             raise InputError(f"--out '{options.out}' would overwrite its own input; choose another name.")
     cloud = read_splats(options.splats, options.drop_invalid, options.walls)
     cloud = clean(cloud, options.drop_strays, options.max_aspect, options.isotropic)
@@ -80,25 +76,23 @@ def run(options: argparse.Namespace) -> None:
     from .save import save_rigged
 
     rig_files.empty_scene()
-<<<<<<< HEAD
+    doubts: list[str] = []
     if options.fit is not None:
         from .fit import fit_kind, make_rig
 
-        up = resolve_up(options.up or AUTO, cloud, None, options.splats)[0]
+        up, assumed = resolve_up(options.up or AUTO, cloud, None, options.splats)
         found = fit_kind(options.fit, rotate_cloud(cloud, up_rotation(up)), options)
         armature = make_rig(found, options.splats.stem, rigify=options.rigify)
     else:
-        armature = rig_files.import_armature(options.armature, options.armature_name)
-=======
-    doubts: list[str] = []
-    armature = rig_files.import_armature(options.armature, options.armature_name, doubts)
+        armature = rig_files.import_armature(options.armature, options.armature_name, doubts)
     for sentence in doubts:
         print_message(f"Warning: {sentence}")
->>>>>>> main
     for path in unheard_drivers(needed_objects(armature)):
         print_message(f"The driver of {path} needs Python, which no file may run here; its value stays as it is.")
     skeleton = read_skeleton(armature)
-    if options.up is None:
+    if options.fit is not None:
+        pass  # the skeleton was fitted to the splats as they stand
+    elif options.up is None:
         up, assumed = default_up(cloud, skeleton, options.splats)
     else:
         up, assumed = resolve_up(options.up, cloud, skeleton, options.splats)

@@ -88,15 +88,9 @@ def _draw_true_splats(context: bpy.types.Context, splats: bpy.types.Object, layo
         layout.operator("gskin.renew_display", icon="FILE_REFRESH")
 
 
-<<<<<<< HEAD
-class GSKIN_PT_skeleton(_Child, bpy.types.Panel):
-    bl_idname = "GSKIN_PT_skeleton"
-    bl_label = "Skeleton"
-=======
 class GSKIN_PT_select(_Child, bpy.types.Panel):
     bl_idname = "GSKIN_PT_select"
     bl_label = "Select"
->>>>>>> main
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -105,14 +99,6 @@ class GSKIN_PT_select(_Child, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         column = self.layout.column()
         column.enabled = state.job is None
-<<<<<<< HEAD
-        for operator in ("gskin.fit_human", "gskin.fit_quadruped", "gskin.fit_bird"):
-            column.operator(operator, icon="OUTLINER_OB_ARMATURE")
-        row = column.row(align=True)
-        row.operator_menu_enum("gskin.mark_landmark", "name", icon="EMPTY_AXIS")
-        row.operator("gskin.clear_landmarks", text="", icon="X")
-        column.operator("gskin.import_skeleton", text="Import Skeleton...", icon="IMPORT")
-=======
         for pair in _SELECTS:
             row = column.row(align=True)
             for operator, text in pair:
@@ -123,7 +109,6 @@ class GSKIN_PT_select(_Child, bpy.types.Panel):
             row.operator("gskin.next_unsure_cluster", text="", icon="TRIA_LEFT").step = -1
             row.operator("gskin.next_unsure_cluster", text=tr("Worst Cluster", BUTTON)).step = 1
             row.operator("gskin.next_unsure_cluster", text="", icon="TRIA_RIGHT").step = 1
->>>>>>> main
 
 
 class GSKIN_PT_weights(_Child, bpy.types.Panel):
@@ -193,8 +178,4 @@ class GSKIN_PT_hygiene(_Child, bpy.types.Panel):
         column.operator("gskin.clean_splats", icon="BRUSH_DATA")
 
 
-<<<<<<< HEAD
-CLASSES = (GSKIN_PT_display, GSKIN_PT_skeleton, GSKIN_PT_weights, GSKIN_PT_export, GSKIN_PT_hygiene)
-=======
 CLASSES = (GSKIN_PT_display, GSKIN_PT_select, GSKIN_PT_weights, GSKIN_PT_export, GSKIN_PT_hygiene)
->>>>>>> main
