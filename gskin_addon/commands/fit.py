@@ -98,7 +98,7 @@ def make_rig(found: Fit, name: str, *, rigify: bool) -> bpy.types.Object:
     """The armature of a fit; a metarig of Rigify, for this process only, if so wished."""
     from ..scene.fitted_rig import create_fitted_rig, turn_rigify_on
 
-    if rigify and not turn_rigify_on(for_good=False):
+    if rigify and not turn_rigify_on():
         print_message("Rigify is not here; the armature has its bones but none of its settings.")
     return create_fitted_rig(found, f"{name} Skeleton")
 

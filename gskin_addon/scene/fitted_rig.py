@@ -28,10 +28,11 @@ def rigify_is_on() -> bool:
     return bool(addon_utils.check("rigify")[1])
 
 
-def turn_rigify_on(*, for_good: bool = True) -> bool:
-    """Enable Rigify, `for_good` as its check box in the preferences does; whether it is on then."""
+def turn_rigify_on() -> bool:
+    """Enable Rigify as its check box in the preferences does; whether it is on then. It reads its own preferences, so
+    that it cannot be enabled without an entry there."""
     if not rigify_is_on():
-        addon_utils.enable("rigify", default_set=for_good)
+        addon_utils.enable("rigify", default_set=True)
     return rigify_is_on()
 
 
