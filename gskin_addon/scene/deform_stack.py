@@ -102,8 +102,8 @@ def shown_wrongly(obj: bpy.types.Object) -> list[str]:
     reasons = not_in_the_viewport(obj)
     if reasons:
         found.append(
-            f"Blender's 3D view turns the splats of '{obj.name}' by vertex groups alone, but {'; '.join(reasons)}. "
-            "Right are Render Splats, gskin render and the splats that gskin pose writes."
+            f"Blender turns the splats of '{obj.name}' by vertex groups alone, in the 3D view and in Cycles, but "
+            f"{'; '.join(reasons)}. Right are Render Splats, gskin render and the splats that gskin pose writes."
         )
     return found
 

@@ -27,18 +27,15 @@ from .actions import left_to_guess, own_parts
 from .bone_frames import armature_of
 from .clip_losses import listed, lost_in_clips, said_of_nla
 from .deform_stack import NO_BENDS, lost_in_gltf
-from .fabric import bring_fabrics_back, lay_fabrics_aside
 from .frames import frame_of, go_to
 from .gltf_bends import bends_as_joints, can_be_joints, idle_groups, idle_groups_aside
 from .gltf_clips import clips_of, keep_own, play_companions, rest_before_clips
 from .gltf_shear import said_of_shear, shear_watched
+from .nodes_aside import hide_nodes, nodes_hidden, show_nodes
 from .splat_object import is_splat_object, read_cloud
 from .visibility import shown
 
 _EXPORTER = "io_scene_gltf2"
-_hidden: list[tuple[str, str]] = []
-"""Names of object and modifier that are switched off while an export runs."""
-
 
 class SplatExport:
     """Hooks of Blender's glTF exporter; one instance per export.
@@ -237,40 +234,6 @@ def _last_error(error: RuntimeError) -> str:
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     named = [line for line in lines if "Error: " in line and not line.startswith("Error: Python")]
     return named[-1] if named else lines[-1] if lines else "no reason given"
-
-
-def hide_nodes() -> None:
-    """Switch off the Geometry Nodes modifiers of all splat objects and lay their fabrics aside, until `show_nodes`."""
-    lay_fabrics_aside()
-    for obj in bpy.data.objects:
-        if is_splat_object(obj):
-            for modifier in obj.modifiers:
-                if modifier.type == "NODES" and modifier.show_viewport:
-                    modifier.show_viewport = False
-                    _hidden.append((obj.name, modifier.name))
-
-
-def show_nodes() -> None:
-    """Switch on what `hide_nodes` switched off, and bring the fabrics back."""
-    bring_fabrics_back()
-    if not _hidden:
-        return
-    present = {obj.name: obj for obj in bpy.data.objects if is_splat_object(obj)}
-    while _hidden:
-        object_name, modifier_name = _hidden.pop()
-        obj = present.get(object_name)
-        if obj is not None and modifier_name in obj.modifiers:
-            obj.modifiers[modifier_name].show_viewport = True
-
-
-@contextmanager
-def nodes_hidden() -> Iterator[None]:
-    """The splats' node groups are switched off inside the block, whatever happens."""
-    hide_nodes()
-    try:
-        yield
-    finally:
-        show_nodes()
 
 
 @contextmanager

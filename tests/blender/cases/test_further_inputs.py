@@ -215,3 +215,12 @@ def test_frames_may_be_negative_and_lie_between_two(tmp_path):
     assert away.max() > 0.03
     assert (np.linalg.norm(middle - low, axis=1) < 0.6 * away + 1e-6).all()
     assert (np.linalg.norm(middle - high, axis=1) < 0.6 * away + 1e-6).all()
+
+
+def test_splats_of_another_scene_are_not_said_to_be_missing(tmp_path, capfd):
+    def change(splats, armature):
+        bpy.context.window.scene = bpy.data.scenes.new("Empty")
+
+    source = fig.rigged(tmp_path / "in.blend", change)
+    assert fig.run("pose", source, "--out", tmp_path / "out.ply", *fig.TURN) == 2
+    assert "has splats, 'fig', in its scene 'Scene' and was saved in 'Empty'" in capfd.readouterr().err
