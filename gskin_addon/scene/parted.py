@@ -184,17 +184,20 @@ def _parts_of(obj: bpy.types.Object) -> list[tuple[slice, _Seen | None]]:
 
 
 def _mend_mark(mesh: ObjectData) -> None:
-    """The degree of the harmonics is that of the richest part, and what are no splats have a rotation at least."""
+    """The degree of the harmonics is that of the richest part; points that were no splats are none to be seen."""
     degree = MAX_SH_DEGREE
     while degree and any(names.SH.format(k) not in mesh.attributes for k in range((degree + 1) ** 2 - 1)):
         degree -= 1
     mesh[names.MARK]["sh_degree"] = degree
-    quats = read_attribute(mesh, names.ROTATION)
-    if quats is not None:
-        none = ~np.asarray(quats).any(axis=1)
-        if none.any():
-            quats[none] = (1.0, 0.0, 0.0, 0.0)
-            write_attribute(mesh, names.ROTATION, "QUATERNION", quats)
+    quats, scales, base = (read_attribute(mesh, name) for name in (names.ROTATION, names.SCALE, names.BASE))
+    if quats is None or scales is None or base is None:
+        return
+    none = ~scales.any(axis=1)
+    if none.any():
+        # What Blender fills in differs from version to version; nothing is to be seen of them.
+        quats[none], base[none, 3] = (1.0, 0.0, 0.0, 0.0), 0.0
+        write_attribute(mesh, names.ROTATION, "QUATERNION", quats)
+        write_attribute(mesh, names.BASE, "FLOAT_COLOR", base)
 
 
 def _mend_records(obj: bpy.types.Object, parts: list[tuple[slice, _Seen | None]]) -> None:

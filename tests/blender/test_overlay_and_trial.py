@@ -16,7 +16,8 @@ import gskin_addon
 from gskin_addon.operators.moves_with import clicked_splat
 from gskin_addon.scene import names
 from gskin_addon.scene.attributes import read_attribute, write_attribute
-from gskin_addon.scene.node_groups import get_display
+from gskin_addon.scene.display_inputs import DISPLAY_INPUTS, NATIVE
+from gskin_addon.scene.node_groups import get_display, set_display
 from gskin_addon.scene.overlay import OVERLAYS, overlay_of, set_overlay
 from gskin_addon.scene.selecting import posed_points
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud
@@ -74,6 +75,8 @@ def drawn_colors(obj):
 
 def test_one_choice_for_what_the_display_shows(scene):
     obj, _ = scene
+    if NATIVE in DISPLAY_INPUTS:
+        set_display(obj, NATIVE, False)  # its points have the colours elsewhere
     write_attribute(obj.data, names.STRETCH, "FLOAT", np.zeros(COUNT))
     write_attribute(obj.data, names.ALIKE, "FLOAT", np.ones(COUNT))
     seen = []
