@@ -65,9 +65,17 @@ _seen: dict[int, _Seen] = {}
 
 @persistent
 def follow(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    """Look at the splat objects of the last change; some ten microseconds for each."""
-    objects = [update.id.original for update in depsgraph.updates if isinstance(update.id, bpy.types.Object)]
-    _look_at([obj for obj in objects if is_splat_object(obj) and obj.library is None and obj.data.library is None])
+    """Look at the splat objects that were moved or changed; a pose is neither."""
+    updates = list(depsgraph.updates)
+    meshes = {update.id.original.session_uid for update in updates if isinstance(update.id, bpy.types.Mesh)}
+    found = []
+    for update in updates:
+        obj = update.id.original if isinstance(update.id, bpy.types.Object) else None
+        if obj is None or not is_splat_object(obj) or obj.library is not None or obj.data.library is not None:
+            continue
+        if update.is_updated_transform or obj.data.session_uid in meshes or obj.session_uid not in _seen:
+            found.append(obj)
+    _look_at(found)
 
 
 @persistent

@@ -147,7 +147,7 @@ def test_good_weights_stretch_little_and_torn_ones_are_marked(scene):
     obj, armature = scene
     armature.pose.bones["bone1"].rotation_quaternion = (0.9, 0.1, 0.2, 0.3)
     before = state(armature)
-    assert bpy.ops.gskin.try_it(beyond=4.0) == {"FINISHED"}
+    assert bpy.ops.gskin.try_it(beyond=4.0, most=100) == {"FINISHED"}
     assert state(armature) == before
     assert overlay_of(obj) == "STRETCH"
     assert not any(vertex.select for vertex in obj.data.vertices)
@@ -156,13 +156,15 @@ def test_good_weights_stretch_little_and_torn_ones_are_marked(scene):
     patch = (np.abs(at[:, 0] - 0.4) < 0.12) & (at[:, 1] > 0)
     obj.vertex_groups["bone0"].remove(np.flatnonzero(patch).tolist())
     obj.vertex_groups["bone2"].add(np.flatnonzero(patch).tolist(), 1.0, "REPLACE")
-    assert bpy.ops.gskin.try_it(beyond=4.0) == {"FINISHED"}
+    assert bpy.ops.gskin.try_it(beyond=4.0, most=100) == {"FINISHED"}
     marked = np.array([vertex.select for vertex in obj.data.vertices])
     assert marked[patch].mean() > 0.5
     assert marked[at[:, 0] > 1.0].sum() == 0
     stretch = read_attribute(obj.data, names.STRETCH)
     assert stretch[patch].mean() > 0.8 > 0.4 > stretch[at[:, 0] > 1.5].mean()
     assert state(armature) == before
+    assert bpy.ops.gskin.try_it(beyond=1.0, most=2.0, again=True) == {"FINISHED"}
+    assert sum(vertex.select for vertex in obj.data.vertices) == COUNT // 50
 
 
 def test_ranges_come_from_limits_and_what_holds_bones_is_let_go(scene):
