@@ -26,13 +26,16 @@ from .operators import (
     even_scale,
     export_glb,
     fabric,
+    fit_skeleton,
     fix_rig_scale,
     flood_weights,
     follow_neighbours,
+    import_skeleton,
     import_splats,
     install_runtime,
     job_presets,
     make_riggable,
+    mark_landmark,
     mirror_weights,
     moves_with,
     pick_splats,
@@ -67,7 +70,7 @@ from .scene.viewport import following as viewport_following
 from .scene.viewport import handler as viewport_handler
 from .session import deleted, guidance_settings, live_pictures, properties, render_settings, running_job
 from .ui import job_presets as job_presets_menu
-from .ui import manual, panel, preferences, render_panel, splat_panels, translations
+from .ui import manual, panel, preferences, render_panel, skeleton_panel, splat_panels, translations
 
 # Each has CLASSES, HANDLERS (list of Blender, function) where it follows what happens, and register() and unregister()
 # where there is more to do.
@@ -89,6 +92,9 @@ MODULES = (
     remove_runtime,
     import_splats,
     make_riggable,
+    fit_skeleton,
+    mark_landmark,
+    import_skeleton,
     place,
     enable_deform,
     even_scale,
@@ -127,6 +133,7 @@ MODULES = (
     job_presets_menu,
     panel,
     render_panel,
+    skeleton_panel,
     splat_panels,
     manual,
     parted,

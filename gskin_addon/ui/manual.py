@@ -32,6 +32,9 @@ MAPPING = (
         "select_by_bone", "select_by_color", "select_linked_splats", "grow_splat_selection", "shrink_splat_selection",
         "select_in_front", "next_unsure_cluster",
     )),
+    *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#skeleton") for name in (
+        "fit_human", "fit_quadruped", "fit_bird", "mark_landmark", "clear_landmarks", "import_skeleton",
+    )),
     *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#clean-up") for name in ("select_bad_splats", "clean_splats")),
     *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#the-check-list") for name in (
         "check_again", "enable_deform", "even_scale", "fix_rig_scale", "center_rig",
