@@ -65,9 +65,17 @@ _seen: dict[int, _Seen] = {}
 
 @persistent
 def follow(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    """Look at the splat objects of the last change; some ten microseconds for each."""
-    objects = [update.id.original for update in depsgraph.updates if isinstance(update.id, bpy.types.Object)]
-    _look_at([obj for obj in objects if is_splat_object(obj) and obj.library is None and obj.data.library is None])
+    """Look at the splat objects that were moved or changed; a pose is neither."""
+    updates = list(depsgraph.updates)
+    meshes = {update.id.original.session_uid for update in updates if isinstance(update.id, bpy.types.Mesh)}
+    found = []
+    for update in updates:
+        obj = update.id.original if isinstance(update.id, bpy.types.Object) else None
+        if obj is None or not is_splat_object(obj) or obj.library is not None or obj.data.library is not None:
+            continue
+        if update.is_updated_transform or obj.data.session_uid in meshes or obj.session_uid not in _seen:
+            found.append(obj)
+    _look_at(found)
 
 
 @persistent
@@ -184,17 +192,20 @@ def _parts_of(obj: bpy.types.Object) -> list[tuple[slice, _Seen | None]]:
 
 
 def _mend_mark(mesh: ObjectData) -> None:
-    """The degree of the harmonics is that of the richest part, and what are no splats have a rotation at least."""
+    """The degree of the harmonics is that of the richest part; points that were no splats are none to be seen."""
     degree = MAX_SH_DEGREE
     while degree and any(names.SH.format(k) not in mesh.attributes for k in range((degree + 1) ** 2 - 1)):
         degree -= 1
     mesh[names.MARK]["sh_degree"] = degree
-    quats = read_attribute(mesh, names.ROTATION)
-    if quats is not None:
-        none = ~np.asarray(quats).any(axis=1)
-        if none.any():
-            quats[none] = (1.0, 0.0, 0.0, 0.0)
-            write_attribute(mesh, names.ROTATION, "QUATERNION", quats)
+    quats, scales, base = (read_attribute(mesh, name) for name in (names.ROTATION, names.SCALE, names.BASE))
+    if quats is None or scales is None or base is None:
+        return
+    none = ~scales.any(axis=1)
+    if none.any():
+        # What Blender fills in differs from version to version; nothing is to be seen of them.
+        quats[none], base[none, 3] = (1.0, 0.0, 0.0, 0.0), 0.0
+        write_attribute(mesh, names.ROTATION, "QUATERNION", quats)
+        write_attribute(mesh, names.BASE, "FLOAT_COLOR", base)
 
 
 def _mend_records(obj: bpy.types.Object, parts: list[tuple[slice, _Seen | None]]) -> None:

@@ -143,9 +143,9 @@ class Trial:
         finally:
             self.end()
 
-    def worst_bones(self, beyond: float, most: int = 3) -> list[str]:
-        """Bones of the swings that stretch the most splats beyond so many times, at most `most`."""
-        numbers = self.worst[self.stretch > beyond]
+    def worst_bones(self, marked: Array, most: int = 3) -> list[str]:
+        """Bones of the swings that stretch the most of the splats of a mask (N,) most, at most `most`."""
+        numbers = self.worst[marked]
         count = np.bincount(numbers[numbers >= 0], minlength=len(self.swings))
         order = [number for number in np.argsort(-count, kind="stable").tolist() if count[number]]
         return list(dict.fromkeys(name for number in order for name, *_ in self.swings[number].bones))[:most]

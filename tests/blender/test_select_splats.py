@@ -13,6 +13,7 @@ import bmesh
 
 import gskin_addon
 from gskin_addon.core.splats.cloud import SH_C0
+from gskin_addon.operators import select_splats
 from gskin_addon.operators._selecting import combined
 from gskin_addon.scene import names
 from gskin_addon.scene.fabric import iter_make_fabric
@@ -148,7 +149,7 @@ def test_linked_stops_at_seams_and_grows_along_the_body(splats):
     assert 0 < selected(splats).sum() < near.sum()
 
 
-def test_front_side_only(splats):
+def test_front_side_only(splats, monkeypatch):
     means = read_cloud(splats).means
     select(splats, np.ones(COUNT, bool))
     view = np.eye(4)
@@ -158,6 +159,7 @@ def test_front_side_only(splats):
     front = selected(splats)
     assert front[means[:, 2] > 0.5].mean() > 0.9
     assert front[means[:, 2] < -0.5].mean() < 0.2, "400 splats leave holes"
+    monkeypatch.setattr(select_splats, "_region_view", lambda context: None)
     with pytest.raises(RuntimeError, match="No 3D view"):
         bpy.ops.gskin.select_in_front()
 
