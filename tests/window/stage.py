@@ -245,8 +245,12 @@ class View:
         return None
 
     def find_buttons(self, hands: Hands, prefix: str) -> Generator[Wait, None, dict[str, tuple[int, int]]]:
-        """Where in the side bar the buttons of the operators are whose names begin so, two to a row at most."""
+        """Where in the side bar, scrolled to its end, the buttons of the operators are whose names begin so, two to a
+        row at most."""
         manager, region = bpy.context.window_manager, self.region("UI")
+        yield from hands.move(region.x + region.width // 2, self.middle()[1])
+        yield from hands.wheel(25)
+        yield 0.5
         found: dict[str, tuple[int, int]] = {}
         for y in range(self.window.height - region.y - region.height + 40, self.window.height - region.y, 11):
             for share in (0.3, 0.7):

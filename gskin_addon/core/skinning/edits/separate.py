@@ -95,10 +95,10 @@ def _foreign(
     outside = ~_bones_within(means, segments, selected)
     points = means[rows]
     to_near, to_far = (_distance(points, segments, outside & side) for side in (~far, far))
-    share = np.asarray(weights[rows])[:, far].sum(axis=1)
+    follows = np.asarray(weights[rows])
     # What leaks is the weight of the selection's bones; what follows others is hardly ever wrong.
-    theirs = (to_far * _SURE < to_near) | (share >= _CLEAR)
-    ours = (to_near * _SURE < to_far) | ((share <= 1 - _CLEAR) & (to_near <= to_far))
+    theirs = (to_far * _SURE < to_near) | (follows[:, far].sum(axis=1) >= _CLEAR)
+    ours = (to_near * _SURE < to_far) | ((follows[:, outside & ~far].sum(axis=1) >= _CLEAR) & (to_near <= to_far))
     ours &= ~theirs
     graph = body_graph(points)
     limit = float(np.linalg.norm(np.ptp(points, axis=0)))
