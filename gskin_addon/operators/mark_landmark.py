@@ -7,8 +7,9 @@ import bpy
 import numpy as np
 
 from ..core.skeleton.landmarks import NAMES
+from ..scene.attributes import read_positions
 from ..scene.landmarks import add_landmark, read_landmarks, remove_landmarks
-from ..scene.splat_object import read_cloud
+from ..scene.rig_fit import to_world
 from ..scene.weight_edits import selected_splats
 from ..session.chosen import chosen_splats
 
@@ -51,7 +52,7 @@ class GSKIN_OT_mark_landmark(bpy.types.Operator):
             if not selected.any():
                 self.report({"ERROR"}, f"No splats of '{splats.name}' are selected; select some at that end.")
                 return {"CANCELLED"}
-            place = read_cloud(splats).means[selected].mean(axis=0).astype(np.float64)
+            place = to_world(read_positions(splats.data)[selected].astype(np.float64), splats).mean(axis=0)
         else:
             place = np.array(context.scene.cursor.location, np.float64)
         empty = add_landmark(splats, self.name, place)
