@@ -26,14 +26,18 @@ from .operators import (
     even_scale,
     export_glb,
     fabric,
+    fit_skeleton,
     fix_rig_scale,
     flood_weights,
     follow_neighbours,
+    import_skeleton,
     import_splats,
     install_runtime,
     job_presets,
     make_riggable,
+    mark_landmark,
     mirror_weights,
+    moves_with,
     pick_splats,
     place,
     pose_rig,
@@ -48,6 +52,7 @@ from .operators import (
     smooth_weights,
     standard_view,
     transfer_weights,
+    try_it,
 )
 from .scene import (
     fabric_renewal,
@@ -57,6 +62,7 @@ from .scene import (
     handlers,
     helpers,
     leftovers,
+    overlay,
     parted,
     webp_images,
 )
@@ -64,7 +70,7 @@ from .scene.viewport import following as viewport_following
 from .scene.viewport import handler as viewport_handler
 from .session import deleted, guidance_settings, live_pictures, properties, render_settings, running_job
 from .ui import job_presets as job_presets_menu
-from .ui import manual, panel, preferences, render_panel, splat_panels, translations
+from .ui import manual, panel, preferences, render_panel, skeleton_panel, splat_panels, translations
 
 # Each has CLASSES, HANDLERS (list of Blender, function) where it follows what happens, and register() and unregister()
 # where there is more to do.
@@ -78,6 +84,7 @@ MODULES = (
     running_job,
     live_pictures,
     preferences,
+    overlay,
     check_python,
     install_runtime,
     repair_runtime,
@@ -85,6 +92,9 @@ MODULES = (
     remove_runtime,
     import_splats,
     make_riggable,
+    fit_skeleton,
+    mark_landmark,
+    import_skeleton,
     place,
     enable_deform,
     even_scale,
@@ -100,6 +110,8 @@ MODULES = (
     export_glb,
     confidence,
     select_splats,
+    moves_with,
+    try_it,
     smooth_weights,
     sharpen_weights,
     follow_neighbours,
@@ -121,6 +133,7 @@ MODULES = (
     job_presets_menu,
     panel,
     render_panel,
+    skeleton_panel,
     splat_panels,
     manual,
     parted,

@@ -31,14 +31,14 @@ ALLOWED = {("operators.command_line", "cli")}  # Blender's own command line is r
 
 ORDER = (
     ("errors",), ("ticks",), ("files",), ("checkpoint",), ("splats",), ("rig",), ("render",), ("skinning",),
-    ("guidance",), ("job",), ("pipeline",),
+    ("skeleton",), ("guidance",), ("job",), ("pipeline",),
     ("training", "worker"),
 )  # fmt: skip
 """The rooms of core: each may import those before it, not those beside or after it."""
 
 BLENDER = {"bpy", "bpy_extras", "mathutils", "bmesh", "gpu", "gpu_extras", "blf", "bl_math", "idprop", "io_scene_gltf2"}
 
-NUMPY_ONLY = ("core.errors", "core.files", "core.splats", "core.rig", "core.skinning.learned")
+NUMPY_ONLY = ("core.errors", "core.files", "core.splats", "core.rig", "core.skinning.learned", "core.skeleton")
 """What importing these imports is numpy and the standard library, however deep it goes."""
 
 @pytest.fixture(scope="module")

@@ -48,13 +48,23 @@ def words_of_classes() -> Iterator[tuple[str, str]]:
             own = {name for base in cls.__mro__ if _ours(base) for name in inspect.get_annotations(base)}
             for prop in rna.properties:
                 if prop.identifier in own and not prop.is_hidden:
-                    if prop.name != prop.identifier:  # it has been given one
-                        yield ANY, prop.name
-                    yield ANY, prop.description
-                    if prop.type == "ENUM":
-                        for item in prop.enum_items:
-                            yield ANY, item.name
-                            yield ANY, item.description
+                    yield from _words_of(prop)
+    # Properties of our own that Blender's kinds of data have been given.
+    for kind in (bpy.types.Scene, bpy.types.Object):
+        data: Any = kind.bl_rna
+        for prop in data.properties:
+            if prop.identifier.startswith("gskin_"):
+                yield from _words_of(prop)
+
+
+def _words_of(prop: Any) -> Iterator[tuple[str, str]]:
+    if prop.name != prop.identifier:  # it has been given one
+        yield ANY, prop.name
+    yield ANY, prop.description
+    if prop.type == "ENUM":
+        for item in prop.enum_items:
+            yield ANY, item.name
+            yield ANY, item.description
 
 
 def words_of_source(text: str) -> Iterator[tuple[str, str]]:

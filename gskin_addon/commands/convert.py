@@ -11,6 +11,7 @@ from ..core.splats.formats import FILE_TYPES, output_format, write_splats
 from .console import print_message
 from .paths import check_output, same_file
 from .rig import read_splats
+from .save import say_left_out
 
 UNSTATED = "-y"
 """The up axis of files whose format has no rule: that of COLMAP, and so of most training programs."""
@@ -24,5 +25,10 @@ def run(options: argparse.Namespace) -> None:
     cloud = read_splats(options.source, options.drop_invalid)
     form = output_format(options.out)
     up, wanted = options.up or cloud.up or UNSTATED, options.out_up or form.up or UNSTATED
-    write_splats(options.out, rotate_cloud(cloud, up_rotation(wanted).T @ up_rotation(up)), up=form.up)
+    if wanted != up and not (form.up or options.out_up or options.up):
+        axes = f"'{options.out}' is {wanted.upper()} up, '{options.source}' {up.upper()}"
+        print_message(f"{axes}; --out-up={up} keeps that.")
+    turned = rotate_cloud(cloud, up_rotation(wanted).T @ up_rotation(up))
+    write_splats(options.out, turned, up=form.up)
+    say_left_out(options.out, turned)
     print_message(f"'{options.out}' has {cloud.count:,} splats, spherical harmonics of degree {cloud.sh_degree}.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import argparse
 
-from .options import convert, pose, render, rig, runtime, train_guidance, train_prior, weights
+from .options import convert, fit, pose, render, rig, runtime, train_guidance, train_prior, weights
 from .options.shared import Parser
 
 VERSION = "0.2.0"
@@ -22,6 +22,7 @@ def build() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"gskin {VERSION}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
     rig.add(commands)
+    fit.add(commands)
     pose.add(commands)
     render.add(commands)
     convert.add(commands)

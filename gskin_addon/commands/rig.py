@@ -21,7 +21,7 @@ from ..core.job.mesh_files import read_mesh
 from ..core.job.progress import ProgressEvent
 from ..core.job.progress_text import ProgressPrinter
 from ..core.job.settings import JobSettings
-from ..core.job.up_axis import default_up, resolve_up
+from ..core.job.up_axis import AUTO, default_up, resolve_up
 from ..core.pipeline.estimate import warning_of_time
 from ..core.splats import formats
 from ..core.splats.axes import rotate_cloud, up_rotation
@@ -77,13 +77,22 @@ def run(options: argparse.Namespace) -> None:
 
     rig_files.empty_scene()
     doubts: list[str] = []
-    armature = rig_files.import_armature(options.armature, options.armature_name, doubts)
+    if options.fit is not None:
+        from .fit import fit_kind, make_rig
+
+        up, assumed = resolve_up(options.up or AUTO, cloud, None, options.splats)
+        found = fit_kind(options.fit, rotate_cloud(cloud, up_rotation(up)), options)
+        armature = make_rig(found, options.splats.stem, rigify=options.rigify)
+    else:
+        armature = rig_files.import_armature(options.armature, options.armature_name, doubts)
     for sentence in doubts:
         print_message(f"Warning: {sentence}")
     for path in unheard_drivers(needed_objects(armature)):
         print_message(f"The driver of {path} needs Python, which no file may run here; its value stays as it is.")
     skeleton = read_skeleton(armature)
-    if options.up is None:
+    if options.fit is not None:
+        pass  # the skeleton was fitted to the splats as they stand
+    elif options.up is None:
         up, assumed = default_up(cloud, skeleton, options.splats)
     else:
         up, assumed = resolve_up(options.up, cloud, skeleton, options.splats)

@@ -207,12 +207,14 @@ def _hidden(obj: bpy.types.Object, scenes: list[bpy.types.Scene]) -> set[str]:
 
 
 def _take_over_scene(obj: bpy.types.Object, scenes: list[bpy.types.Scene]) -> None:
-    """Frame, range, rate and custom properties of the scene that `obj` was in; drivers that read it read ours now."""
+    """Frame, range, rate, time stretching and custom properties of the scene that `obj` was in; drivers that read it
+    read ours now."""
     here: Any = bpy.context.scene
     if not scenes:
         return
     there: Any = next((scene for scene in scenes if scene.objects.get(obj.name) == obj), scenes[0])
     here.render.fps, here.render.fps_base = there.render.fps, there.render.fps_base
+    here.render.frame_map_old, here.render.frame_map_new = there.render.frame_map_old, there.render.frame_map_new
     here.frame_start, here.frame_end = there.frame_start, there.frame_end
     for name, value in there.items():
         if name not in here and isinstance(value, (bool, int, float, str)):

@@ -20,6 +20,12 @@ def lost_in_clips(armature: bpy.types.Object, *, posed: bool = False) -> list[st
     posed: the file has the present pose besides, so that bones without keys need no word.
     """
     found = said_of_nla(armature)
+    render = bpy.context.scene.render
+    if render.frame_map_old != render.frame_map_new:
+        found.append(
+            f"The scene stretches time ({render.frame_map_old} to {render.frame_map_new}), and the clips of "
+            f"'{armature.name}' are cut off by it; set Time Stretching in the Output properties to equal numbers."
+        )
     bones = [] if posed else posed_by_hand(armature)
     if bones:
         found.append(

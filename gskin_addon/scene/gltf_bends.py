@@ -65,6 +65,25 @@ def bends_as_joints(objects: Sequence[bpy.types.Object]) -> Iterator[int]:
         yield most
 
 
+@contextmanager
+def idle_groups_aside(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
+    """Inside the block splats have no vertex groups of bones that do not deform: the exporter would follow these."""
+    with ExitStack() as stack:
+        for obj in objects:
+            idle = idle_groups(obj) if is_splat_object(obj) else []
+            if idle:
+                stack.enter_context(paused())
+                stack.enter_context(_following(obj, idle, np.zeros((len(obj.data.vertices), 0), np.float32), []))
+        yield
+
+
+def idle_groups(obj: bpy.types.Object) -> list[str]:
+    """Vertex groups of the object that are named like bones of its armature which do not deform."""
+    armature = armature_of(obj)
+    bones = {} if armature is None else {bone.name: bone.use_deform for bone in armature.data.bones}
+    return [group.name for group in obj.vertex_groups if not bones.get(group.name, True)]
+
+
 def split_weights(
     obj: bpy.types.Object, bends: Mapping[str, BendyBone]
 ) -> tuple[Array, list[tuple[str, int]]]:

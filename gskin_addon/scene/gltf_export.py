@@ -25,11 +25,11 @@ from ..core.splats.axes import rotate_cloud
 from ..core.splats.cloud import SplatCloud
 from .actions import left_to_guess, own_parts
 from .bone_frames import armature_of
-from .clip_losses import lost_in_clips, said_of_nla
+from .clip_losses import listed, lost_in_clips, said_of_nla
 from .deform_stack import NO_BENDS, lost_in_gltf
 from .fabric import bring_fabrics_back, lay_fabrics_aside
 from .frames import frame_of, go_to
-from .gltf_bends import bends_as_joints, can_be_joints
+from .gltf_bends import bends_as_joints, can_be_joints, idle_groups, idle_groups_aside
 from .gltf_clips import clips_of, keep_own, play_companions, rest_before_clips
 from .gltf_shear import said_of_shear, shear_watched
 from .splat_object import is_splat_object, read_cloud
@@ -54,13 +54,16 @@ class SplatExport:
     def pre_export_hook(self, export_settings: dict[str, Any]) -> None:
         """Switch off the splats' node groups: their instances would hide the points and the skin."""
         self._options = {name: export_settings.get(name) for name in ("gltf_loose_points", "gltf_apply")}
+        if _ours:
+            return  # what is hidden then, and comes back, is in `export_glb`
         hide_nodes()
         # post_export_hook is not called when the exporter fails.
         bpy.app.timers.register(show_nodes, first_interval=0.0)
 
     def post_export_hook(self, export_settings: dict[str, Any]) -> None:
         """Switch them on again."""
-        show_nodes()
+        if not _ours:
+            show_nodes()
 
     def gather_node_mesh_hook(
         self, option: Any, blender_object: Any, export_settings: dict[str, Any]
@@ -116,6 +119,9 @@ class SplatExport:
             _add_splats(gltf2_mesh, cloud)
             armature = armature_of(self._object)
             doubts = [] if armature is None else [*left_to_guess(armature), *said_of_nla(armature)]
+            idle = idle_groups(self._object)
+            if idle:
+                doubts.append(f"{listed(idle)} of '{armature.name}' do not deform here, and do in the file.")
             for sentence in doubts + lost_in_gltf(self._object):
                 ours = " GSkin's own export has them as joints." if sentence.startswith(NO_BENDS) else ""
                 export_settings["log"].warning(sentence + ours)
@@ -124,6 +130,8 @@ class SplatExport:
             _failures.append(error)
 
 
+_ours: list[Path] = []
+"""The file that `export_glb` writes, while it runs."""
 _failures: list[GSkinError] = []
 """Errors of the running export; the exporter itself only prints what happens in a hook."""
 
@@ -161,8 +169,10 @@ def export_glb(
             shown([*_seen(objects), *armatures], select=True),
             _selected([*objects, *armatures]),
             _discoverable(),
+            _by_ourselves(path),
             nodes_hidden(),
             clips_of(armatures, posed=posed, animations=animations) as options,
+            idle_groups_aside(objects),
             bends_as_joints(objects) as most,
             shear_watched(armatures) as sheared,
         ):
@@ -261,6 +271,16 @@ def nodes_hidden() -> Iterator[None]:
         yield
     finally:
         show_nodes()
+
+
+@contextmanager
+def _by_ourselves(path: Path) -> Iterator[None]:
+    """The export is one of `export_glb`, not of Blender's own dialog."""
+    _ours.append(path)
+    try:
+        yield
+    finally:
+        _ours.pop()
 
 
 @contextmanager

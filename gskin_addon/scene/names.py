@@ -69,6 +69,11 @@ SHAPE = "gskin:shape"
 CONFIDENCE = "gskin:confidence"
 """How sure the weights of each splat are, 0 to 1; exists where the method that made them knows."""
 
+ALIKE = "gskin:alike"
+"""How much each splat moves with the one that was picked last, 0 to 1; exists where one was."""
+STRETCH = "gskin:stretch"
+"""How far Try It has stretched what is around each splat: 0 not at all, 1 to three times its length and more."""
+
 SIDE = "gskin:side"
 """Label of a splat at a seam, 0 for none: splats with two labels belong to parts that touch but are not one."""
 

@@ -15,6 +15,7 @@ from .blend_rigs import append_rig, keep_only
 from .dependencies import needed_objects
 from .gltf_readable import readable
 from .splat_object import is_splat_object
+from .vertex_groups import set_mode
 
 ARMATURE_SUFFIXES = (".blend", ".glb", ".gltf", ".fbx")
 
@@ -59,13 +60,19 @@ def import_objects(path: Path, *, skeletons: bool = True) -> list[bpy.types.Obje
 
 
 def open_blend(path: Path) -> None:
-    """Open a .blend without running its scripts. Raises InputError where it cannot be read."""
+    """Open a .blend without running its scripts, and leave Edit Mode, in which armatures stand at rest.
+
+    Raises InputError where it cannot be read.
+    """
     if not path.is_file():
         raise InputError(f"'{path}' does not exist; check the path.")
     try:
         bpy.ops.wm.open_mainfile(filepath=str(path.absolute()), load_ui=False, use_scripts=False)
     except RuntimeError as error:
         raise InputError(f"'{path}' cannot be opened as a .blend ({_reason(error)}); {_remedy(error)}.") from error
+    for obj in bpy.context.view_layer.objects:
+        if obj.mode == "EDIT":
+            set_mode(obj, "OBJECT")
 
 
 def find_splats(path: Path, name: str | None = None) -> bpy.types.Object:

@@ -25,11 +25,15 @@ MAPPING = (
     )),
     ("bpy.ops.gskin.transfer_weights*", f"{_BUTTONS}#weights-from-another-object"),
     *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#after-a-job") for name in (
-        "compare_weights", "pose_rig", "select_unsure_splats",
+        "compare_weights", "pose_rig", "try_it", "select_unsure_splats",
     )),
+    ("bpy.ops.gskin.show_moves_with*", f"{_BUTTONS}#display"),
     *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#select") for name in (
         "select_by_bone", "select_by_color", "select_linked_splats", "grow_splat_selection", "shrink_splat_selection",
         "select_in_front", "next_unsure_cluster",
+    )),
+    *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#skeleton") for name in (
+        "fit_human", "fit_quadruped", "fit_bird", "mark_landmark", "clear_landmarks", "import_skeleton",
     )),
     *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#clean-up") for name in ("select_bad_splats", "clean_splats")),
     *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#the-check-list") for name in (

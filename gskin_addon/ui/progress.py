@@ -9,6 +9,7 @@ from typing import Any
 import bpy
 
 from ..core.job.progress_text import time_left
+from ..scene.bone_frames import armature_of
 from ..scene.compared import compared
 from ..scene.proxy_object import followed_armature
 from ..session import live_pictures
@@ -59,6 +60,8 @@ def draw_posing(layout: bpy.types.UILayout, splats: bpy.types.Object | None) -> 
     armature = None if splats is None else followed_armature(splats)
     if armature is not None and armature.mode != "POSE":
         layout.operator("gskin.pose_rig", icon="POSE_HLT")
+    if splats is not None and armature_of(splats) is not None:
+        layout.operator("gskin.try_it", icon="PLAY")
 
 
 def draw_comparison(layout: bpy.types.UILayout, splats: bpy.types.Object | None) -> None:

@@ -9,11 +9,13 @@ import bpy
 
 from ..scene import names
 from ..scene.anchored import proxy_of
-from ..scene.display_colors import SHOW_CONFIDENCE, SHOW_WEIGHTS_OF
+from ..scene.bone_frames import armature_of
+from ..scene.display_colors import SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF
 from ..scene.display_inputs import BY_SHADER, DISPLAY_INPUTS
 from ..scene.fabric import has_fabric
 from ..scene.node_builder import has_input, input_property
 from ..scene.node_groups import find_display
+from ..scene.overlay import CONFIDENCE, WEIGHTS, overlay_of
 from ..scene.render import changes_colors
 from ..scene.viewport import switch
 from ..session.chosen import chosen_splats
@@ -61,10 +63,16 @@ class GSKIN_PT_display(_Child, bpy.types.Panel):
         _draw_true_splats(context, splats, column)
         if changes_colors(context.scene):
             column.operator("gskin.standard_view", icon="COLOR")
+        column.prop(splats, "gskin_overlay")
+        overlay = overlay_of(splats)
+        if overlay == CONFIDENCE and names.CONFIDENCE not in splats.data.attributes:
+            column.label(text="These weights do not know how sure they are", icon="INFO")
+        if armature_of(splats) is not None:
+            column.operator("gskin.show_moves_with", icon="EYEDROPPER")
         for name in DISPLAY_INPUTS:
-            if not has_input(modifier, name):
+            if not has_input(modifier, name) or name in {SHOW_BONES, SHOW_CONFIDENCE}:
                 continue
-            if name == SHOW_CONFIDENCE and names.CONFIDENCE not in splats.data.attributes:
+            if name == SHOW_WEIGHTS_OF and overlay != WEIGHTS:
                 continue
             owner, path = input_property(modifier, name)
             if name == SHOW_WEIGHTS_OF:

@@ -298,6 +298,35 @@ def test_the_depth_beside_a_png_is_along_the_cameras_axis(scene):
     assert depth[0, 0] == pytest.approx(1e10)
 
 
+def test_the_graphics_card_draws_what_hides_but_no_depth(scene, monkeypatch):
+    """There is no card here: what it would be asked for, and that the rest goes to the processor with a word."""
+    asked = []
+    monkeypatch.setattr(render_job, "drawn_by_shader", lambda frame: asked.append(frame) or frame)
+    create_splat_object(shiny_cloud(40), "S")
+    bpy.ops.mesh.primitive_cube_add(location=(0.0, -1.0, 0.0))
+    sentence = rendered(scene, on_gpu=True)
+    assert len(asked) == 1
+    assert len(asked[0].triangles) == 12
+    assert "processor" not in sentence
+    sentence = rendered(scene, on_gpu=True, depth=True)
+    assert len(asked) == 1
+    assert "by the processor, as the graphics card tells no depth" in sentence
+
+
+def test_compiling_is_said(scene):
+    create_splat_object(shiny_cloud(5), "S")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(render_job, "FrameClient", InThisProcess)
+        running = job(scene)
+    try:
+        assert running.step()
+        running.client.drawn.append({"stage": "compiling"})
+        assert running.step()
+        assert running.progress.message == "Compiling what draws, once"
+    finally:
+        running.close()
+
+
 def test_other_formats_are_written_by_blender_as_captured(scene):
     create_splat_object(shiny_cloud(), "S")
     rendered(scene)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -102,6 +102,22 @@ def make_character():
     return armature
 
 
+def write_vrm(glb, vrm):
+    """The same as a VRM has it: an extension of its own, and materials without light."""
+    data = glb.read_bytes()
+    size = struct.unpack_from("<I", data, 12)[0]
+    table = json.loads(data[20 : 20 + size])
+    table["extensionsUsed"] = [*table.get("extensionsUsed", []), "VRM", "KHR_materials_unlit"]
+    table["extensions"] = {"VRM": {"specVersion": "0.0", "exporterVersion": "a test"}}
+    for material in table["materials"]:
+        material["extensions"] = {"KHR_materials_unlit": {}}
+    text = json.dumps(table).encode()
+    text += b" " * (-len(text) % 4)
+    rest = data[20 + size :]
+    head = struct.pack("<4sII", b"glTF", 2, 20 + len(text) + len(rest))
+    vrm.write_bytes(head + struct.pack("<I4s", len(text), b"JSON") + text + rest)
+
+
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     """The character as .blend, .glb, .vrm and .fbx."""
@@ -109,7 +125,7 @@ def files(tmp_path_factory):
     make_character()
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "figure.blend"), check_existing=False)
     bpy.ops.export_scene.gltf(filepath=str(folder / "figure.glb"), export_current_frame=False)
-    shutil.copyfile(folder / "figure.glb", folder / "figure.vrm")
+    write_vrm(folder / "figure.glb", folder / "figure.vrm")
     bpy.ops.export_scene.fbx(
         filepath=str(folder / "figure.fbx"), path_mode="COPY", embed_textures=True, add_leaf_bones=False
     )

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import io
 import signal
@@ -169,6 +170,19 @@ def test_convert_turns_axes_where_formats_say_them(tmp_path, capsys):
     assert cli.main(["convert", str(tmp_path / "a.ply"), str(tmp_path / "a.ply")]) == 2
     assert cli.main(["convert", str(tmp_path / "a.ply"), str(tmp_path / "a.usd")]) == 2
     assert not (tmp_path / "a.usd").exists()
+
+
+def test_convert_says_what_turns_and_what_stays_behind(tmp_path, capsys):
+    source = tmp_path / "a.ply"
+    write_ply(source, dataclasses.replace(random_cloud(30, 1), offset=np.array([5.4e6, 0.0, -300.0])))
+    source.write_bytes(source.read_bytes().replace(b"element", b"comment up_axis = z\nelement", 1))
+    assert cli.main(["convert", str(source), str(tmp_path / "b.ply")]) == 0
+    assert f"'{tmp_path / 'b.ply'}' is -Y up, '{source}' Z; --out-up=z keeps that." in capsys.readouterr().err
+    assert cli.main(["convert", str(source), str(tmp_path / "c.ply"), "--out-up=z"]) == 0
+    assert "keeps that" not in capsys.readouterr().err
+    assert cli.main(["convert", str(source), str(tmp_path / "d.spz")]) == 0
+    said = capsys.readouterr().err
+    assert f"Warning: '{tmp_path / 'd.spz'}': its coordinates are near the origin: (5400000, -300, " in said
 
 
 def test_render_draws_a_ply(rod, tmp_path):

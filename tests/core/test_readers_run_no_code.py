@@ -21,6 +21,7 @@ import worker_jobs as jobs
 from rigged_assets import write_tube
 
 import gskin_addon
+from gskin_addon.commands.selection import read_walls
 from gskin_addon.core.checkpoint import load_checkpoint
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.guidance import oracle
@@ -31,6 +32,7 @@ from gskin_addon.core.job import contract
 from gskin_addon.core.job.contract import read_job, read_result
 from gskin_addon.core.job.mesh_files import SUFFIXES, read_mesh
 from gskin_addon.core.job.scope import Scope, read_scope, scope_file
+from gskin_addon.core.job.skinned_files import SKINNED, read_skinned, read_surface, read_weights
 from gskin_addon.core.pipeline import optimise_loop, steps
 from gskin_addon.core.pipeline.run import run
 from gskin_addon.core.rig.weights_file import read_weights_file
@@ -94,7 +96,7 @@ NAMES = [
     *("means", "quats", "scales", "opacities", "sh", "verts", "faces"),
     *("version", "names", "bone", "values", "view", "rest_0", "posed_0", "mask_0", "handles_0", "targets_0"),
     *("bone_parent", "bone_names", "bone_head", "bone_tail", "bone_rest", "bone_used"),
-    *("present", "only", "walls", "corner_rgb", "w_row", "w_col", "w_val"),
+    *("present", "only", "walls", "corner_rgb", "w_row", "w_col", "w_val", "selected"),
 ]
 
 
@@ -171,6 +173,20 @@ def test_a_mesh(put, suffix):
         pytest.importorskip("trimesh")
     with pytest.raises(InputError, match="mesh"):
         read_mesh(put(f"mesh{suffix}"))
+
+
+@pytest.mark.parametrize("suffix", [*SKINNED, ".obj"])
+def test_meshes_with_weights(put, suffix):
+    path = put(f"mesh{suffix}")
+    for read in (read_skinned, read_surface, lambda path: read_weights(path, ["bone"])):
+        with pytest.raises(InputError):
+            read(path)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".txt"])
+def test_marked_splats(put, suffix):
+    with pytest.raises(InputError):
+        read_walls([put(f"marked{suffix}")], 5)
 
 
 def test_a_scope(put, tmp_path):

@@ -11,12 +11,14 @@ from ...core.job.settings import PRESET_FIELD
 from ...core.job.up_axis import UP_CHOICES
 from ...core.render.backends import AUTO, BACKENDS
 from ...core.render.camera import VIEW_COUNTS
+from ...core.skeleton.fit import KINDS
 from ...core.skinning.fields import OPTIONS as FIELD_OPTIONS
 from ...core.skinning.fields import WEIGHT_FIELDS
 from ...core.skinning.initial import DEFAULT_INITIAL, INITIAL_WEIGHTS
 from ...core.skinning.losses import LossWeights
 from ...core.skinning.presets import DEFAULT_PRESET, PRESETS
 from ...core.splats.axes import UP_AXES
+from .fit import fitting
 from .numbers import aspect, count, scale, seed
 from .shared import common, consent, front, progress, up
 
@@ -32,9 +34,10 @@ def add(commands: Any) -> None:
         allow_abbrev=False,
     )
     rig.add_argument("splats", type=Path, metavar="SPLATS", help="Gaussian splats (.ply, .spz, .sog, ...)")
-    rig.add_argument(
-        "--armature", type=Path, required=True, metavar="RIG", help="armature: .blend, .glb, .gltf or .fbx"
-    )
+    skeleton = rig.add_mutually_exclusive_group(required=True)
+    skeleton.add_argument("--armature", type=Path, metavar="RIG", help="armature: .blend, .glb, .gltf or .fbx")
+    skeleton.add_argument("--fit", choices=tuple(KINDS), help="fit a skeleton of this kind to the splats")
+    fitting(rig)
     rig.add_argument("--armature-name", metavar="NAME", help="which armature, where the file has several")
     rig.add_argument("--out", type=Path, required=True, metavar="OUT", help="what to write: .blend or .glb")
     rig.add_argument("--weights", type=Path, metavar="W.npz", help="also write the weights as arrays")

@@ -63,7 +63,7 @@ PRESETS: dict[str, Preset] = {
     "high": Preset("More poses and longer learning", 50, ((256, 100), (512, 400)), 6),
     "thorough": Preset("As long as the paper: 500 iterations of 20 images", 50, ((512, 500),), 20),
     "paper": Preset(
-        "The G-Skin paper to the letter: its initial weights, its CNN volume, no anchor, no early end; half an hour or more",
+        "The paper to the letter: its initial weights, its CNN volume, no anchor, no early end; half an hour or more",
         50,
         ((512, 500),),
         20,

@@ -25,6 +25,13 @@ _BROADER = 2.0
 _TALL = 1.9
 """Least ratio of the height to the depth (the other of y and z)."""
 _OPAQUE = 0.3
+_BINS = 100
+_PLANE, _BEYOND, _ABOVE = 0.15, 0.05, 0.2
+"""Of the splats: least share of a floor in two bins of its axis, largest beyond it, least that stands on it."""
+_WIDE = 0.5
+"""Least area of a floor's hull over the area of the whole seen from above."""
+_INNER = 0.7
+"""Largest spread of what stands on a floor over the floor's own; the legs of a table stand further out than its top."""
 
 _UP_OF_BOTTOM = {"-z": "z", "-y": "y", "y": "-y"}
 
@@ -66,9 +73,43 @@ def guess_up(cloud: SplatCloud) -> UpGuess:
     ratio = float(np.min(ends[bottom] / np.maximum(second, 1e-6)))
     tall = extent[axis] / extent[3 - axis]
     if bottom not in _UP_OF_BOTTOM or ends[bottom][-1] < _BROAD or ratio < _BROADER or tall < _TALL:
-        return unsure
-    end = f"+{bottom}" if len(bottom) == 1 else bottom
-    return UpGuess(_UP_OF_BOTTOM[bottom], f"it stands on its {end.upper()} end", 1.0 - 1.0 / ratio)
+        planes = {end: _plane(points, lower, extent, end) for end in ("-x", "x", *ends)}
+        found = [end for end, plane in planes.items() if plane]
+        # Walls and ceilings look like floors.
+        if len(found) != 1 or planes[found[0]] != "floor" or found[0] not in _UP_OF_BOTTOM:
+            return unsure
+        return UpGuess(_UP_OF_BOTTOM[found[0]], f"a floor lies at its {_named(found[0])} end", 1.0)
+    return UpGuess(_UP_OF_BOTTOM[bottom], f"it stands on its {_named(bottom)} end", 1.0 - 1.0 / ratio)
+
+
+def _named(end: str) -> str:
+    return (f"+{end}" if len(end) == 1 else end).upper()
+
+
+def _plane(points: NDArray[np.float64], lower: NDArray[np.float64], extent: NDArray[np.float64], end: str) -> str:
+    """What lies at that end of the points: "floor" for a plane in the middle of which something stands, "plane" for
+    another one, or a thinner one, "" for none."""
+    axis = "xyz".index(end[-1])
+    others = [k for k in range(3) if k != axis]
+    height = (points[:, axis] - lower[axis]) / extent[axis]
+    if len(end) == 1:
+        height = 1.0 - height
+    counts = np.bincount(np.clip(height * _BINS, 0, _BINS - 1).astype(int), minlength=_BINS)
+    pairs = (counts[:-1] + counts[1:]) / len(points)
+    beyond = np.cumsum(counts) / len(points) - counts / len(points)
+    first = int(np.argmax(np.where(beyond[:-1] <= _BEYOND, pairs, 0.0)))
+    if pairs[first] < _PLANE / 2:
+        return ""
+    flat = points[np.abs(height * _BINS - first - 1.0) < 1.0][:, others]
+    low, high = np.percentile(flat, [1, 99], axis=0)
+    hull = _hull(flat[np.all((flat >= low) & (flat <= high), axis=1)])
+    x, y = hull.T if len(hull) else (np.zeros(1), np.zeros(1))
+    area = 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
+    if area < _WIDE * float(np.prod(extent[others])):
+        return ""
+    above = points[height * _BINS > first + 4.0][:, others]
+    stands = len(above) >= max(8.0, _ABOVE * len(points)) and (above.std(axis=0) < _INNER * flat.std(axis=0)).all()
+    return "floor" if stands and pairs[first] >= _PLANE else "plane"
 
 
 def _supports(

@@ -12,6 +12,7 @@ from glb import Glb
 
 from gskin_addon.core.errors import GSkinError
 from gskin_addon.scene import gltf_bends
+from gskin_addon.scene.fabric import Fabric, lay_under
 from gskin_addon.scene.gltf_export import export_glb
 from gskin_addon.scene.import_file import ImportOptions, import_steps
 from gskin_addon.scene.posing import posed_cloud
@@ -61,6 +62,18 @@ def test_a_posed_file_has_what_bends(deform_bones_only, tmp_path):
     assert off(glb.posed(glb.node("Splats")), obj) < SAME
     # One for the scale to take away and one more than segments, for each of two bones.
     assert len(glb.joints(glb.node("Splats"))) == 4 + 2 * 7
+
+
+def test_a_fabric_under_the_splats_comes_back(tmp_path):
+    """The exporter's own hooks must not bring it back before the splats' groups are what they were."""
+    obj, armature = bent_rig()
+    segments(armature, 3)
+    bind(obj, armature)
+    lay_under(obj, Fabric.of(np.array([[0, 1, 2], [1, 2, 3]], np.int32)))
+    before, triangles = whole_file(obj, armature), len(obj.data.polygons)
+    export_glb(tmp_path / "out.glb", [obj], posed=True)
+    assert whole_file(obj, armature) == before
+    assert len(obj.data.polygons) == triangles == 2
 
 
 def test_clips_bend(tmp_path):

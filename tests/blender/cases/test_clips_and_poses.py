@@ -82,6 +82,17 @@ def test_a_bone_without_keys_stands_as_posed_and_is_at_rest_in_clips(tmp_path, c
     np.testing.assert_allclose(in_clip, by_action, atol=1e-4)
 
 
+def test_stretched_time_is_said(tmp_path, capfd):
+    def change(splats, armature):
+        fig.wave(armature, "Wave")
+        bpy.context.scene.render.frame_map_new = 200
+
+    source = fig.rigged(tmp_path / "in.blend", change)
+    assert fig.run("pose", source, "--out", tmp_path / "out.glb") == 0
+    said = capfd.readouterr().err
+    assert "Warning: The scene stretches time (100 to 200), and the clips of 'Rig' are cut off" in said
+
+
 def test_an_export_leaves_the_pose_as_it_was(tmp_path):
     """Blender's exporter puts all bones to rest between two clips."""
     splats, armature = fig.open_base()

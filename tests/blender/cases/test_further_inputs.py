@@ -78,7 +78,21 @@ def shape_key(splats, armature):
     raised.value = 1.0
 
 
+def in_edit_mode(name: str):
+    def change(splats, armature):
+        bpy.context.view_layer.objects.active = splats if name == "splats" else armature
+        bpy.ops.object.mode_set(mode="EDIT")
+
+    change.__name__ = f"{name}_in_edit_mode"
+    return change
+
+
+def bone_that_deforms_no_more(splats, armature):
+    armature.data.bones["hand.L"].use_deform = False
+
+
 RIGHT = [scaled_parent, two_of_one_armature, bones_that_do_not_inherit, pushing_nodes, shape_key]
+RIGHT += [in_edit_mode("splats"), in_edit_mode("armature"), bone_that_deforms_no_more]
 
 
 @pytest.mark.parametrize("change", RIGHT, ids=lambda change: change.__name__)

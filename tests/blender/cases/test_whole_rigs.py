@@ -180,7 +180,23 @@ def animated_target(armature):
     bpy.context.scene.frame_set(20)
 
 
+def stretched_time(armature):
+    """Frames of the scene are not those of its animation."""
+    fig.wave(armature, "Wave")
+    scene = bpy.context.scene
+    scene.render.frame_map_old, scene.render.frame_map_new = 100, 200
+    scene.frame_set(10)
+
+
+def keyed_influence(armature):
+    constraint = armature.pose.bones["hand.L"].constraints.new("IK")
+    constraint.target, constraint.chain_count = fig.add_empty("target", (0.6, 0, 1.4)), 2
+    fig.key(armature, "influence", {1: 0.0, 10: 1.0}, constraint)
+    bpy.context.scene.frame_set(8)
+
+
 WHOLE = [
+    stretched_time, keyed_influence,
     ik_with_pole, driver_of_another, driven_driver, scene_driver, data_driver, chain_of_armatures, armature_constraint,
     spline_ik, constrained_object, parented, child_of_bone, shrinkwrapped, animated_target,
 ]  # fmt: skip

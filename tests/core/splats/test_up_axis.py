@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import numpy as np
@@ -59,6 +60,48 @@ def test_humanoids_are_seldom_guessed_wrong():
             outcomes.append("not sure" if not guess.sure else "right" if guess.axis == up else "wrong")
     assert outcomes.count("right") >= 0.5 * len(outcomes)
     assert outcomes.count("wrong") <= 0.06 * len(outcomes)
+
+
+def scene_of(*parts):
+    """A Z-up cloud of points (N, 3)."""
+    points = np.concatenate(parts)
+    return dataclasses.replace(clouds.random_cloud(len(points), 0), means=points.astype(np.float32))
+
+
+def sheet(rng, count, side, axis, place, middle=(0, 0, 1)):
+    """Points of a plane of this side length, a little rough."""
+    points = rng.uniform(-side / 2, side / 2, (count, 3)) + middle
+    points[:, axis] = place + rng.normal(0, 0.004, count)
+    return points
+
+
+def body(rng):
+    return rng.normal(0, 0.2, (1500, 3)) + [0.1, 0, 0.7]
+
+
+@pytest.mark.parametrize("up", UP_AXES)
+def test_what_stands_on_a_floor_is_told(up):
+    rng = np.random.default_rng(0)
+    strays = rng.uniform(-1, 1, (40, 3)) + [0, 0, -0.5]
+    guess = guess_up(rotate_cloud(scene_of(body(rng), sheet(rng, 1000, 3, 2, 0), strays), up_rotation(up).T))
+    assert guess.sure
+    assert guess.axis == up
+    assert "a floor lies at its" in guess.sentence
+
+
+@pytest.mark.parametrize("up", UP_AXES)
+@pytest.mark.parametrize("what", ["corner", "table", "backed"])
+def test_other_planes_are_no_floors(what, up):
+    """A room has walls, a table's top has its legs at the rim, and a slab nothing on it."""
+    rng = np.random.default_rng(1)
+    if what == "corner":
+        cloud = scene_of(body(rng), sheet(rng, 1000, 3, 2, 0), sheet(rng, 600, 3, 1, 1.5, (0, 0, 1.5)))
+    elif what == "table":
+        legs = [rng.normal(0, 0.02, (300, 3)) * [1, 1, 15] + [x, y, 0.4] for x in (-0.9, 0.9) for y in (-0.9, 0.9)]
+        cloud = scene_of(sheet(rng, 1500, 2, 2, 0.9), *legs)
+    else:
+        cloud = scene_of(sheet(rng, 2000, 2, 2, 0), sheet(rng, 2000, 2, 2, 0.3))
+    assert not guess_up(rotate_cloud(cloud, up_rotation(up).T)).sure
 
 
 def test_the_armature_tells_where_the_splats_do_not():

@@ -44,21 +44,28 @@ def on_surface(
     *,
     reach: float = REACH,
     angle: float = ANGLE,
+    piece: Array | None = None,
 ) -> Match:
     """Weights of the closest point on a mesh for each of points (N, 3).
 
     facing (N, 3) of the points, see `facing`, None for any; verts (V, 3), faces (F, 3), F >= 1, vertex_facing (V, 3),
-    weights (V, B) of the mesh; reach: share of the mesh's diagonal; angle in degrees. ValueError for no triangles.
+    weights (V, B) of the mesh; reach: share of the mesh's diagonal; angle in degrees; piece (F,): numbers from 0 on of
+    the pieces that hang together, each of which is turned where most of what lies on it faces the other way: it was
+    wound inside out. ValueError for no triangles.
     """
     points, verts = np.asarray(points, np.float64), np.asarray(verts, np.float64)
     face, bary = nearest_triangles(points, verts[faces])
     corner = np.asarray(faces)[face]
     away = np.linalg.norm(np.einsum("nk,nkd->nd", bary, verts[corner]) - points, axis=1)
     found = _blend(weights, corner, bary)
-    sure = (away <= reach * _diagonal(verts)) & _given(found)
+    near = away <= reach * _diagonal(verts)
+    sure = near & _given(found)
     if facing is not None:
-        allowed = _allowed(angle, away / _diagonal(verts))
-        sure &= agree(facing, np.einsum("nk,nkd->nd", bary, vertex_facing[corner]), allowed)
+        normal = np.einsum("nk,nkd->nd", bary, vertex_facing[corner])
+        if piece is not None:
+            same = np.einsum("nk,nk->n", facing, normal) * near
+            normal *= np.where(np.bincount(piece[face], same) < 0, -1.0, 1.0)[piece[face], None]
+        sure &= agree(facing, normal, _allowed(angle, away / _diagonal(verts)))
     return Match(found, sure)
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ...errors import InputError
 from ...rig.vertex_maps import mesh_neighbours
 from ...splats.cloud import SplatCloud
+from ...splats.components import connected_components
 from ...ticks import Tick, silent, stretch
 from ..edits.blend import follow_neighbours
 from ..edits.body_graph import BodyGraph, body_graph
@@ -60,6 +61,14 @@ class Shape:
             np.concatenate([neighbour, welded[:, None]], axis=1),
             np.concatenate([length, twin[:, None]], axis=1).astype(np.float32),
         )
+
+    @property
+    def pieces(self) -> Array:
+        """(F,) the number, from 0 on, of the piece of the mesh that each triangle belongs to."""
+        faces = _first_there(self.points)[np.asarray(self.faces)]
+        joined = np.concatenate([faces[:, :2], faces[:, 1:]])
+        label = connected_components(len(self.points), *joined.T)
+        return np.unique(label[faces[:, 0]], return_inverse=True)[1].reshape(-1)
 
     def fitted(self, onto: Shape, reach: float, tick: Tick = silent) -> Shape:
         """The shape brought onto another one, see `align`; reach: a share of its diagonal."""
@@ -117,8 +126,9 @@ def transfer(
         )  # fmt: skip
     else:
         found = on_surface(
-            target.points, target.facing, source.points, source.faces, source.facing, weights, reach=reach, angle=angle
-        )
+            target.points, target.facing, source.points, source.faces, source.facing, weights, reach=reach, angle=angle,
+            piece=source.pieces,
+        )  # fmt: skip
     tick(0.5)
     if not found.sure.any():
         raise InputError(

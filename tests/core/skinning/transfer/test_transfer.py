@@ -119,6 +119,17 @@ def test_on_the_mesh_itself_weights_are_the_truth(limbs):
     assert result.taken.mean() > 0.95
 
 
+def test_a_piece_that_is_wound_inside_out_is_matched_all_the_same(limbs):
+    """As mirrored parts of game figures are; before, all of it was filled in from elsewhere."""
+    verts, faces, weights, target, truth = limbs
+    turned = faces.copy()
+    leg = (faces >= len(verts) // 2).all(1)
+    turned[leg] = faces[leg][:, ::-1]
+    result = transfer(Shape.of_mesh(verts, turned), weights, target)
+    assert result.taken.mean() > 0.95
+    assert np.abs(result.weights - truth).sum(1).mean() < 0.005
+
+
 def test_a_shifted_mesh_is_mended_by_inpainting(limbs):
     """The leg's near side lies closer to the arm than to itself: it faces the other way, so it is inpainted."""
     verts, faces, weights, target, truth = limbs

@@ -1,0 +1,247 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Fit a skeleton to splats: a person's or a quadruped's joints by votes, bones between them, both sides alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError
+from ..files import read_arrays
+from ..rig.quaternion import axis_angle_to_matrix, matrix_to_quat, quat_multiply
+from ..rig.skeleton import Skeleton
+from ..splats.cloud import SplatCloud
+from ..ticks import Tick, silent
+from . import ends, layouts
+from .bird import bird_front, bird_joints
+from .body_shape import body_shape
+from .joints import HUMAN, MIDDLE, QUADRUPED
+from .landmarks import move_to_landmarks
+from .stance import QUARTER, Standing, quarter_turns, slant, stand
+from .votes import VoteNetwork, features, mirrored
+
+Array = NDArray[Any]
+
+LOOKS = {"-y": 0, "+x": 3, "+y": 2, "-x": 1}
+"""To where a body may look, and by how many quarters it must be turned about z to look along -y."""
+
+ALIKE = 0.05
+"""Sides count as alike where a joint lies within this share of the diagonal of its twin's mirror image, in the mean."""
+
+UNSURE = 0.06
+"""A fit is unsure where its joints are expected to be off by more than this share of the diagonal."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of body: names of its joints, its unit of length, its bones, and how its ends are told."""
+
+    joints: tuple[str, ...]
+    unit: str
+    bones: tuple[layouts.Bone, ...]
+    ends: Any
+
+
+KINDS = {
+    "human": Kind(HUMAN, "height", layouts.HUMAN, ends.human_ends),
+    "quadruped": Kind(QUADRUPED, "diagonal", layouts.QUADRUPED, ends.quadruped_ends),
+    "bird": Kind((), "diagonal", layouts.BIRD, None),
+}
+
+
+@dataclass(frozen=True)
+class Fit:
+    """skeleton: bones in the body's own frame, in metres: it stands on z = 0, looks along -y, its left is +x; deform
+    (B,): bones that splats may follow; placement (4, 4): from that frame to the splats'; joints: by name, in that
+    frame; alike: whether both sides were made mirror images; doubt: the expected error of the joints, a share of
+    the diagonal."""
+
+    kind: str
+    skeleton: Skeleton
+    deform: Array
+    placement: Array
+    joints: dict[str, Array]
+    alike: bool
+    doubt: float
+
+    @property
+    def unsure(self) -> bool:
+        """Whether somebody should look, or name landmarks."""
+        return self.doubt > UNSURE
+
+    def placed(self) -> Skeleton:
+        """The deform bones among the splats."""
+        own = self.skeleton.subset(self.deform)
+        return own.moved(self.placement[:3, :3], 1.0, self.placement[:3, 3])
+
+
+def fit(
+    kind: str,
+    cloud: SplatCloud,
+    *,
+    front: str = "auto",
+    alike: bool | None = None,
+    landmarks: Mapping[str, Array] | None = None,
+    tick: Tick = silent,
+) -> Fit:
+    """Fit a skeleton of a kind of `KINDS` to splats that stand with z up.
+
+    front: a key of `LOOKS`, or "auto". alike: make both sides mirror images; None: where they nearly are.
+    landmarks: points (3,) among the splats by the names of `landmarks.NAMES`, to which the fit is brought.
+
+    Raises:
+        InputError: too few splats, or an unknown landmark.
+    """
+    if kind not in KINDS:
+        raise InputError(f"'{kind}' is no kind of skeleton; choose one of {', '.join(KINDS)}.")
+    if kind == "bird":
+        return _fit_bird(cloud, front, alike, landmarks, tick)
+    return fit_with(kind, _network(kind), cloud, front=front, alike=alike, landmarks=landmarks, tick=tick)
+
+
+def fit_with(
+    kind: str,
+    network: VoteNetwork,
+    cloud: SplatCloud,
+    *,
+    front: str = "auto",
+    alike: bool | None = None,
+    landmarks: Mapping[str, Array] | None = None,
+    tick: Tick = silent,
+) -> Fit:
+    """`fit` by another network than the one that comes with the add-on."""
+    _check_front(front)
+    spec = KINDS[kind]
+    standing, turn = _turned(cloud, spec, network, front, tick)
+    values = features(standing.shape, standing.scale)
+    left, right = network(values), network(mirrored(values))
+    tick(0.8)
+    flip = np.array([-1.0, 1.0, 1.0])
+    found = _named(spec.joints, left.joints * standing.scale, right.joints * flip * standing.scale)
+    spread = float(np.concatenate([left.spread, right.spread]).mean()) * standing.scale / standing.diagonal
+    if landmarks:
+        own = {name: turn.T @ np.asarray(at, np.float64) - standing.origin for name, at in landmarks.items()}
+        found = move_to_landmarks(found, own, standing.shape.points)
+    found, shift, same = both_alike(found, standing.diagonal, alike)
+    surface = standing.shape.points - shift
+    skeleton, deform = layouts.build(spec.bones, spec.ends(found, surface))
+    placement = np.eye(4)
+    placement[:3, :3] = turn
+    placement[:3, 3] = turn @ (standing.origin + shift)
+    tick(1.0)
+    return Fit(kind, skeleton, deform, placement, found, same, _expected(spread))
+
+
+def _fit_bird(
+    cloud: SplatCloud, front: str, alike: bool | None, landmarks: Mapping[str, Array] | None, tick: Tick
+) -> Fit:
+    """A bird by its outline; always for somebody to look at."""
+    _check_front(front)
+    shape = body_shape(cloud)
+    tick(0.5)
+    base = np.eye(3)
+    if front == "auto":
+        base = _about_z(slant(shape.points))
+        if not np.array_equal(base, np.eye(3)):
+            shape = body_shape(_turned_places(cloud, base))
+    turns = quarter_turns(shape)
+    quarters = LOOKS[front] if front != "auto" else bird_front([turned.points for turned in turns])
+    standing = stand(turns[quarters], KINDS["bird"].unit)
+    turn = (np.linalg.matrix_power(QUARTER, quarters) @ base).T
+    found = bird_joints(standing.shape.points)
+    if landmarks:
+        own = {name: turn.T @ np.asarray(at, np.float64) - standing.origin for name, at in landmarks.items()}
+        found = move_to_landmarks(found, own, standing.shape.points)
+    found, shift, same = both_alike(found, standing.diagonal, alike)
+    skeleton, deform = layouts.build(layouts.BIRD, found)
+    placement = np.eye(4)
+    placement[:3, :3], placement[:3, 3] = turn, turn @ (standing.origin + shift)
+    tick(1.0)
+    return Fit("bird", skeleton, deform, placement, found, same, 2 * UNSURE)
+
+
+def both_alike(joints: dict[str, Array], diagonal: float, wanted: bool | None) -> tuple[dict[str, Array], Array, bool]:
+    """Joints whose plane between the sides is x = 0, by how much (3,) they were moved for it, and whether they are now
+    mirror images: as `wanted`, or None for where they nearly are."""
+    pairs = [name[:-2] for name in joints if name.endswith(".L")]
+    middle = [joints[name][0] for name in joints if name in MIDDLE]
+    middle += [(joints[f"{name}.L"][0] + joints[f"{name}.R"][0]) / 2 for name in pairs]
+    shift = np.array([float(np.median(middle)), 0.0, 0.0])
+    own = {name: place - shift for name, place in joints.items()}
+    flip = np.array([-1.0, 1.0, 1.0])
+    off = [float(np.linalg.norm(own[f"{name}.L"] - flip * own[f"{name}.R"])) for name in pairs]
+    if not (float(np.mean(off)) < ALIKE * diagonal if wanted is None else wanted):
+        return own, shift, False
+    for name in pairs:
+        own[f"{name}.L"] = (own[f"{name}.L"] + flip * own[f"{name}.R"]) / 2
+        own[f"{name}.R"] = flip * own[f"{name}.L"]
+    for name in MIDDLE:
+        if name in own:
+            own[name] = own[name] * np.array([0.0, 1.0, 1.0])
+    return own, shift, True
+
+
+def _turned(cloud: SplatCloud, spec: Kind, network: VoteNetwork, front: str, tick: Tick) -> tuple[Standing, Array]:
+    """The body looking along -y, and the rotation (3, 3) from there to how the splats lie."""
+    shape = body_shape(cloud)
+    tick(0.4)
+    if front != "auto":
+        quarters = LOOKS[front]
+        turned = quarter_turns(shape)[quarters]
+        return stand(turned, spec.unit), np.linalg.matrix_power(QUARTER, quarters).T
+    angle = slant(shape.points)
+    base = _about_z(angle)
+    if angle:
+        shape = body_shape(_turned_places(cloud, base))
+    tick(0.7)
+    standings = [stand(turned, spec.unit) for turned in quarter_turns(shape)]
+    looks = [_fits(network, standing) for standing in standings]
+    best = int(np.argmax(looks))
+    return standings[best], (np.linalg.matrix_power(QUARTER, best) @ base).T
+
+
+def _check_front(front: str) -> None:
+    if front != "auto" and front not in LOOKS:
+        raise InputError(f"'{front}' is no direction to look to; choose auto, {', '.join(LOOKS)}.")
+
+
+def _about_z(angle: float) -> Array:
+    return np.asarray(axis_angle_to_matrix(np.array([0.0, 0.0, 1.0]), np.array(angle)))
+
+
+def _turned_places(cloud: SplatCloud, turn: Array) -> SplatCloud:
+    """The splats after a turn, but for their colours."""
+    quat = matrix_to_quat(turn).astype(cloud.quats.dtype)
+    quats = quat_multiply(np.broadcast_to(quat, cloud.quats.shape), cloud.quats)
+    return replace(cloud, means=cloud.means @ turn.T, quats=quats)
+
+
+def _fits(network: VoteNetwork, standing: Standing) -> float:
+    values = features(standing.shape, standing.scale)
+    return network(values).fits + network(mirrored(values)).fits
+
+
+def _named(names: tuple[str, ...], left: Array, right: Array) -> dict[str, Array]:
+    found = {}
+    for number, name in enumerate(names):
+        if name in MIDDLE:
+            found[name] = (left[number] + right[number]) / 2
+        else:
+            found[f"{name}.L"], found[f"{name}.R"] = left[number], right[number]
+    return found
+
+
+def _expected(spread: float) -> float:
+    """The expected error of the joints from the spread of their votes, shares of the diagonal."""
+    return spread
+
+
+@cache
+def _network(kind: str) -> VoteNetwork:
+    return VoteNetwork(read_arrays(Path(__file__).with_name(f"joints_{kind}.npz")))

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Try It: the rig plays through its range, and the splats that stretch most are marked."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import bpy
+
+from ..core.errors import GSkinError
+from ..scene.bone_frames import armature_of
+from ..scene.handlers import settle
+from ..scene.overlay import show_stretch
+from ..scene.selecting import mark_selected
+from ..scene.trial import Player, Trial
+from ..session.chosen import chosen_splats
+
+TICK = 1 / 30
+"""Seconds between two poses, where the machine can."""
+
+
+class GSKIN_OT_try_it(bpy.types.Operator):
+    """Play every limb through its range in the view and mark the splats that stretch most. Esc stops it; the pose is
+    afterwards what it was, and no key is set"""
+
+    bl_idname = "gskin.try_it"
+    bl_label = "Try It"
+    bl_options = {"REGISTER", "UNDO"}
+
+    beyond: bpy.props.FloatProperty(
+        name="Marked From",
+        description="Splats are marked whose way to a neighbour becomes so many times as long",
+        default=2.0,
+        min=1.0,
+        soft_max=5.0,
+    )
+    seconds: bpy.props.FloatProperty(
+        name="Seconds", description="How long it plays", default=10.0, min=1.0, soft_max=60.0, options={"SKIP_SAVE"}
+    )
+
+    again: bpy.props.BoolProperty(options={"HIDDEN", "SKIP_SAVE"})
+    """Whether it is done once more with another number; the poses have been measured then."""
+
+    _trial: Trial | None = None
+    _timer: bpy.types.Timer | None = None
+    _player: Player
+    _began = 0.0
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        splats = chosen_splats(context)
+        problem = ""
+        if splats is None or armature_of(splats) is None:
+            problem = "Select splats that follow an armature"
+        elif splats.mode == "EDIT" or armature_of(splats).mode == "EDIT":
+            problem = "Leave Edit Mode (Tab)"
+        if problem:
+            cls.poll_message_set(problem)
+        return not problem
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """All of it at once: without a window, and again with another number."""
+        splats = chosen_splats(context)
+        known = _last.get(splats.data.session_uid) if self.again else None
+        if known is not None and len(known.stretch) == len(splats.data.vertices):
+            self._trial = known
+            return self._tell(context)
+        try:
+            settle(splats)
+            self._trial = Trial(splats)
+            for _ in self._trial.run():
+                pass
+        except GSkinError as error:
+            self.report({"ERROR"}, error.plain)
+            return {"CANCELLED"}
+        return self._tell(context)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if bpy.app.background or context.window is None:
+            return self.execute(context)
+        splats = chosen_splats(context)
+        try:
+            settle(splats)
+            self._trial = Trial(splats)
+            self._trial.begin()
+        except GSkinError as error:
+            self.report({"ERROR"}, error.plain)
+            return {"CANCELLED"}
+        self._player, self._began = Player(self._trial, self.seconds), time.monotonic()
+        self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
+        if context.workspace is not None:
+            context.workspace.status_text_set("Trying the rig  (Esc stops)")
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if event.type == "ESC" and event.value == "PRESS":
+            self._leave(context)
+            self.report({"INFO"}, "Stopped; the pose is as it was")
+            return {"CANCELLED"}
+        if event.type != "TIMER":
+            # Looking around is welcome; posing and editing meanwhile are not.
+            looks = event.type in {"MIDDLEMOUSE", "WHEELUPMOUSE", "WHEELDOWNMOUSE", "MOUSEMOVE"}
+            return {"PASS_THROUGH"} if looks else {"RUNNING_MODAL"}
+        try:
+            if self._player.step(time.monotonic() - self._began):
+                return {"RUNNING_MODAL"}
+            self._leave(context)
+            return self._tell(context)
+        except Exception:
+            # Blender frees the operator without a word to it; the pose would stay as it is.
+            self._leave(context)
+            raise
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Blender ends the operator: another file is loaded, the window closes."""
+        if self._trial is not None:
+            self._trial.end()
+
+    def _leave(self, context: bpy.types.Context) -> None:
+        if self._timer is not None:
+            context.window_manager.event_timer_remove(self._timer)
+            self._timer = None
+        if context.workspace is not None:
+            context.workspace.status_text_set(None)
+        if self._trial is not None:
+            self._trial.end()
+
+    def _tell(self, context: bpy.types.Context) -> set[str]:
+        trial: Any = self._trial
+        splats = chosen_splats(context)
+        show_stretch(splats, trial.stretch)
+        marked = trial.stretch > self.beyond
+        mark_selected(splats, marked)
+        words = f"{marked.sum():,} of {len(marked):,} splats stretch to more than {self.beyond:.1f} times"
+        bones = ", ".join(f"'{name}'" for name in trial.worst_bones(self.beyond))
+        often = f"; most where {bones} turn" if bones else ""
+        self.report({"INFO"}, f"{words}{often}; Tab shows them selected" if marked.any() else words)
+        _last.clear()
+        _last[splats.data.session_uid] = trial
+        self._trial, self.again = None, True
+        return {"FINISHED"}
+
+
+_last: dict[int, Trial] = {}
+"""The last trial, by session id of the splats' mesh."""
+
+
+CLASSES = (GSKIN_OT_try_it,)

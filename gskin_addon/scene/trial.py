@@ -1,0 +1,243 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A rig played through its range, and what stretches meanwhile; afterwards the pose is what it was, to the bit.
+
+Each bone swings about the axes across it (about its own where it is limited there), between its limits: those of a
+Limit Rotation constraint in its own space, else of its inverse kinematics, else 0.33 pi to both sides, the largest turn
+of the paper's random poses (Sec. IV). Bones in different branches of the skeleton swing together.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import bpy
+import mathutils
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.errors import InputError
+from ..core.skinning.edits.stretch import StretchMeter
+from .armature import deform_bone_names, pose_transforms_of
+from .bone_frames import armature_of, bone_order
+from .controls import why_held
+from .influences import read_influences
+from .posing import Channels, channels, restore
+from .rotation_nodes import frames_of
+from .selecting import body_of
+from .splat_object import read_cloud
+
+Array = NDArray[Any]
+
+WIDEST = 0.33 * np.pi
+"""Radians to either side where a bone has no limits."""
+LEAST = 0.004
+"""Part of the splats that a bone and what hangs on it must move to be tried."""
+SAMPLES = 12
+"""Poses of one swing; the third and the ninth quarter are its ends."""
+
+
+@dataclass(frozen=True)
+class Swing:
+    """Bones that turn at once, each about one of its own axes (0 to 2) from `low` to `high`, radians."""
+
+    bones: tuple[tuple[str, int, float, float], ...]
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One pose: how far (-1 low end, 0 rest, 1 high end) a swing has come; `is_end` where it is to be measured."""
+
+    swing: Swing
+    reach: float
+    is_end: bool
+
+
+class Trial:
+    """The splats of an object and their rig, on trial. `begin`, `show` samples one after the other, and `end` in any
+    case.
+
+    Raises InputError: no armature, or no bone that could be turned.
+    """
+
+    def __init__(self, splats: bpy.types.Object) -> None:
+        armature, frames, stored = armature_of(splats), frames_of(splats), read_influences(splats)
+        if armature is None or frames is None or stored is None:
+            raise InputError(f"'{splats.name}' follows no armature by weights of its own; bind it to one first.")
+        if armature.library is not None:
+            raise InputError(f"Armature '{armature.name}' is linked from another file; make a library override of it.")
+        self.armature = armature
+        self.meter = StretchMeter(read_cloud(splats).means, body_of(splats), *stored)
+        if bone_order(frames) != deform_bone_names(armature):
+            raise InputError(f"The bones of '{armature.name}' have changed; click Bind Splats to Armature.")
+        self.swings = swings_of(armature, bone_order(frames), *stored)
+        if not self.swings:
+            raise InputError(f"No bone of '{armature.name}' that moves splats of '{splats.name}' can be turned.")
+        self.stretch = np.ones(len(self.meter.means), np.float32)
+        self.worst = np.full(len(self.stretch), -1)
+        self._channels: Channels = {}
+        self._muted: list[tuple[str, str]] = []
+        self._position = ""
+
+    @property
+    def samples(self) -> list[Sample]:
+        """All poses, in order."""
+        turns = np.sin(np.linspace(0, 2 * np.pi, SAMPLES + 1))[1:]
+        ends = {SAMPLES // 4 - 1, 3 * SAMPLES // 4 - 1}
+        return [
+            Sample(swing, float(turn), number in ends) for swing in self.swings for number, turn in enumerate(turns)
+        ]
+
+    def begin(self) -> None:
+        """Remember the pose, and free the bones from what holds them."""
+        self._position = self.armature.data.pose_position
+        self._channels = channels(self.armature)
+        self.armature.data.pose_position = "POSE"
+        swinging = {name for swing in self.swings for name, *_ in swing.bones}
+        for bone in self.armature.pose.bones:
+            for constraint in bone.constraints:
+                holds = bone.name in swinging and constraint.type != "LIMIT_ROTATION"
+                if (holds or constraint.type in {"IK", "SPLINE_IK"}) and not constraint.mute:
+                    constraint.mute = True
+                    self._muted.append((bone.name, constraint.name))
+        # What is muted builds the scene anew, and with it animation is evaluated once more.
+        bpy.context.view_layer.update()
+
+    def show(self, sample: Sample) -> None:
+        """Pose the rig."""
+        restore(self.armature, self._channels)
+        for name, axis, low, high in sample.swing.bones:
+            angle = high * sample.reach if sample.reach > 0 else -low * sample.reach
+            _turn(self.armature.pose.bones[name], axis, angle)
+        bpy.context.view_layer.update()
+
+    def measure(self, number: int, transforms: Array) -> None:
+        """Take the stretch of one pose of swing `number` in. Knows nothing of Blender, so a thread may do it."""
+        found = self.meter.measure(transforms)
+        more = found > self.stretch
+        self.stretch[more], self.worst[more] = found[more], number
+
+    def end(self) -> None:
+        """The pose of before; may be called more than once."""
+        if not self._position:
+            return
+        for bone, constraint in self._muted:
+            self.armature.pose.bones[bone].constraints[constraint].mute = False
+        bpy.context.view_layer.update()
+        restore(self.armature, self._channels)
+        self.armature.data.pose_position = self._position
+        self._muted, self._position = [], ""
+        bpy.context.view_layer.update()
+
+    def run(self) -> Iterator[float]:
+        """The whole trial at once, without anybody who watches: the share done after each end of a swing."""
+        self.begin()
+        try:
+            ends = [sample for sample in self.samples if sample.is_end]
+            for number, sample in enumerate(ends):
+                self.show(sample)
+                self.measure(self.swings.index(sample.swing), pose_transforms_of(self.armature))
+                yield (number + 1) / len(ends)
+        finally:
+            self.end()
+
+    def worst_bones(self, beyond: float, most: int = 3) -> list[str]:
+        """Bones of the swings that stretch the most splats beyond so many times, at most `most`."""
+        numbers = self.worst[self.stretch > beyond]
+        count = np.bincount(numbers[numbers >= 0], minlength=len(self.swings))
+        order = [number for number in np.argsort(-count, kind="stable").tolist() if count[number]]
+        return list(dict.fromkeys(name for number in order for name, *_ in self.swings[number].bones))[:most]
+
+
+class Player:
+    """Plays a trial in time, a little with each call of `step`; measures the ends of swings in a thread."""
+
+    def __init__(self, trial: Trial, seconds: float) -> None:
+        self.trial, self.seconds = trial, seconds
+        self._samples, self._at = trial.samples, -1
+        self._thread: threading.Thread | None = None
+
+    def step(self, elapsed: float) -> bool:
+        """Show the pose of `elapsed` seconds since the beginning; False when all has been shown and measured.
+
+        A slow machine leaves poses out, but no end of a swing.
+        """
+        due = int(elapsed / self.seconds * len(self._samples))
+        end = next((k for k in range(self._at + 1, len(self._samples)) if self._samples[k].is_end), len(self._samples))
+        at = min(due, end)
+        busy = self._thread is not None and self._thread.is_alive()
+        if at <= self._at or (busy and at == end):
+            return True
+        self._at = at
+        if at >= len(self._samples):
+            if self._thread is not None:
+                self._thread.join()
+            return False
+        sample = self._samples[at]
+        self.trial.show(sample)
+        if sample.is_end:
+            work = self.trial.swings.index(sample.swing), pose_transforms_of(self.trial.armature)
+            self._thread = threading.Thread(target=self.trial.measure, args=work, name="gskin", daemon=True)
+            self._thread.start()
+        return True
+
+
+def swings_of(armature: bpy.types.Object, order: list[str], index: Array, value: Array) -> list[Swing]:
+    """The swings of a rig whose bones `order` move splats with index (N, K) and weights value (N, K)."""
+    share = np.bincount(index[(index >= 0) & (value > 0.3)], minlength=len(order)) / max(1, len(index))
+    own = dict(zip(order, share.tolist(), strict=True))
+    bones = armature.pose.bones
+    moves = {b.name: sum(own.get(c.name, 0.0) for c in (b, *b.children_recursive)) for b in bones}
+    roots = [b for b in bones if b.name in own and not any(p.name in own for p in b.parent_recursive)]
+    tried = []
+    for name in deform_bone_names(armature):
+        if moves[name] < LEAST or "is driven" in why_held(armature, name):
+            continue
+        if len(roots) == 1 and bones[name] == roots[0] and len(own) > 1:
+            continue  # it would only turn the whole figure
+        tried.append(name)
+    depth: dict[str, int] = {}
+    for name in tried:
+        above = [depth[p.name] for p in bones[name].parent_recursive if p.name in depth]
+        depth[name] = max(above, default=-1) + 1
+    found = []
+    for level in range(max(depth.values(), default=-1) + 1):
+        ranges = {name: _ranges(bones[name]) for name in tried if depth[name] == level}
+        for axis in (0, 2, 1):
+            swinging = tuple((name, axis, *r[axis]) for name, r in ranges.items() if axis in r)
+            if swinging:
+                found.append(Swing(swinging))
+    return found
+
+
+def _ranges(bone: bpy.types.PoseBone) -> dict[int, tuple[float, float]]:
+    """By axis: how far a bone may turn about it, radians; no entry for one about which it does not."""
+    found = {0: (-WIDEST, WIDEST), 2: (-WIDEST, WIDEST)}
+    for axis, letter in enumerate("xyz"):
+        if getattr(bone, f"use_ik_limit_{letter}"):
+            found[axis] = getattr(bone, f"ik_min_{letter}"), getattr(bone, f"ik_max_{letter}")
+        if getattr(bone, f"lock_ik_{letter}") or bone.lock_rotation[axis]:
+            found.pop(axis, None)
+    for constraint in bone.constraints:
+        if constraint.type == "LIMIT_ROTATION" and constraint.owner_space == "LOCAL" and not constraint.mute:
+            for axis, letter in enumerate("xyz"):
+                if getattr(constraint, f"use_limit_{letter}"):
+                    found[axis] = getattr(constraint, f"min_{letter}"), getattr(constraint, f"max_{letter}")
+    full = {axis: (max(low, -np.pi), min(high, np.pi)) for axis, (low, high) in found.items()}
+    return {axis: (min(low, 0.0), max(high, 0.0)) for axis, (low, high) in full.items() if high - low > 1e-3}
+
+
+def _turn(bone: bpy.types.PoseBone, axis: int, angle: float) -> None:
+    """Turn a bone about one of its own axes, on top of its pose."""
+    turn = mathutils.Quaternion(mathutils.Vector([float(k == axis) for k in range(3)]), angle)
+    if bone.rotation_mode == "QUATERNION":
+        bone.rotation_quaternion = bone.rotation_quaternion @ turn
+    elif bone.rotation_mode == "AXIS_ANGLE":
+        angle, *way = bone.rotation_axis_angle
+        way, angle = (mathutils.Quaternion(way, angle) @ turn).to_axis_angle()
+        bone.rotation_axis_angle = (angle, *way)
+    else:
+        mode: Any = bone.rotation_mode
+        bone.rotation_euler = (bone.rotation_euler.to_quaternion() @ turn).to_euler(mode, bone.rotation_euler)
