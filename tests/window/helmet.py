@@ -203,7 +203,7 @@ def settled(stage: Stage, view: View) -> Story:
     for _ in range(3):
         view.area.tag_redraw()
         yield 0.5
-        yield lambda: not sorter.is_busy() and not sorter.has_results()
+        yield stage.soon(lambda: not sorter.is_busy() and not sorter.has_results(), 5.0)
 
 
 def dragged() -> int:
