@@ -31,6 +31,8 @@ STEP = 1e-3
 NO_BENDS = "glTF has no bendy bones"
 """How the sentence about them begins."""
 
+_COPY_OF = "gskin_copy_of"
+
 _OURS = (names.ROTATION_MODIFIER, names.DISPLAY_MODIFIER, names.ANCHOR_MODIFIER)
 
 
@@ -186,6 +188,7 @@ def _deformed_copy(obj: bpy.types.Object) -> Iterator[Any]:
     copy: Any = obj.copy()
     data: ObjectData = obj.data
     copy.data = mesh = data.copy()
+    copy[_COPY_OF] = obj.name
     kept = {modifier.name for modifier in deforming_modifiers(obj)}
     try:
         # Handlers take it for no splats.
@@ -223,7 +226,7 @@ def _evaluated(copy: Any, points: Array) -> Array:
     found = read_positions(copy.evaluated_get(bpy.context.evaluated_depsgraph_get()).data)
     if len(found) != len(points):
         raise InputError(
-            f"'{copy.name}' has {len(points)} splats, and its modifiers make {len(found)} points of them; "
+            f"'{copy[_COPY_OF]}' has {len(points)} splats, and its modifiers make {len(found)} points of them; "
             "remove the modifier that does."
         )
     return found.astype(np.float64)

@@ -118,8 +118,8 @@ def _with_joints(rig: bpy.types.Object, bends: Mapping[str, BendyBone]) -> Itera
         bone: [evaluated.pose.bones[bone].bbone_segment_matrix(k, rest=True) for k in range(bend.segments + 1)]
         for bone, bend in bends.items()
     }
-    data.name, copy.name = f"{name} (GSkin Export)", name
     rig.data = copy
+    _take_name(copy, data, name)
     try:
         names = _add_bones(rig, rest)
         for (bone, joint), added in names.items():
@@ -135,7 +135,7 @@ def _with_joints(rig: bpy.types.Object, bends: Mapping[str, BendyBone]) -> Itera
     finally:
         rig.data = data
         bpy.data.armatures.remove(copy)
-        data.name = name
+        _give_back(data, name)
 
 
 def _add_bones(rig: bpy.types.Object, rest: Mapping[str, list[Any]]) -> dict[tuple[str, int], str]:
@@ -178,8 +178,8 @@ def _following(
     data: Any = obj.data
     mesh = data.copy()
     name = data.name
-    data.name, mesh.name = f"{name} (GSkin Export)", name
     obj.data = mesh
+    _take_name(mesh, data, name)
     try:
         for group in [group for group in obj.vertex_groups if group.name in bones]:
             obj.vertex_groups.remove(group)
@@ -188,4 +188,16 @@ def _following(
     finally:
         obj.data = data
         bpy.data.meshes.remove(mesh)
+        _give_back(data, name)
+
+
+def _take_name(copy: Any, data: Any, name: str) -> None:
+    """Let the copy go into the file under the name of what it stands for; a linked one keeps its own beside it."""
+    if data.library is None:
+        data.name = f"{name} (GSkin Export)"
+    copy.name = name
+
+
+def _give_back(data: Any, name: str) -> None:
+    if data.library is None:
         data.name = name

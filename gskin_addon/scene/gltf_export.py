@@ -25,7 +25,7 @@ from ..core.splats.axes import rotate_cloud
 from ..core.splats.cloud import SplatCloud
 from .actions import left_to_guess, own_parts
 from .bone_frames import armature_of
-from .clip_losses import listed, lost_in_clips, said_of_nla
+from .clip_losses import listed, lost_in_clips, moved_without_joints, said_of_nla
 from .deform_stack import NO_BENDS, lost_in_gltf
 from .frames import frame_of, go_to
 from .gltf_bends import bends_as_joints, can_be_joints, idle_groups, idle_groups_aside
@@ -213,6 +213,7 @@ def export_glb(
         )
     splats = [obj for obj in objects if is_splat_object(obj)]
     lost = [(obj, armature_of(obj)) for obj in splats]
+    doubts += [s for obj, rig in lost if animations and rig is not None for s in moved_without_joints(obj, rig)]
     return doubts + [s for obj, rig in lost for s in lost_in_gltf(obj, segments=rig is None or can_be_joints(rig))]
 
 

@@ -108,6 +108,27 @@ def test_it_comes_back_with_all_its_joints(tmp_path):
     assert np.abs(found - means).max() < 1e-3 * np.ptp(means, axis=0).max()
 
 
+def test_bones_of_linked_data_bend_too(tmp_path):
+    """The armature object is the file's own, its bones are a library's."""
+    fig.empty()
+    fig.add_rig().data.bones["arm.L"].bbone_segments = 5
+    fig.save(tmp_path / "library.blend")
+    fig.empty()
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, found):
+        found.armatures = ["Rig"]
+    armature = bpy.data.objects.new("Rig", found.armatures[0])
+    bpy.context.scene.collection.objects.link(armature)
+    bpy.context.view_layer.update()
+    obj = fig.add_splats(armature)
+    armature.pose.bones["hand.L"].rotation_quaternion = (0.8, 0.6, 0, 0)
+    armature.pose.bones["arm.L"].rotation_quaternion = (0.8, 0, 0, 0.6)
+    bpy.context.view_layer.update()
+    assert export_glb(tmp_path / "out.glb", [obj], posed=True) == []
+    glb = Glb(tmp_path / "out.glb")
+    assert off(glb.posed(glb.node("fig")), obj) < SAME
+    assert armature.data == found.armatures[0]
+
+
 def test_a_rig_that_cannot_be_changed_is_said(tmp_path, monkeypatch):
     monkeypatch.setattr(gltf_bends, "can_be_joints", lambda armature: False)
     monkeypatch.setattr("gskin_addon.scene.gltf_export.can_be_joints", lambda armature: False)
