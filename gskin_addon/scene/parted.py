@@ -247,6 +247,8 @@ def _remove_left_behind(obj: bpy.types.Object, part: bpy.types.Object) -> None:
     stored, other = obj.data.get(names.PLACES), part.data.get(names.PLACES)
     if stored is None or other is None or stored.to_dict() != other.to_dict():
         return
+    if not np.allclose(np.array(obj.matrix_world), np.array(part.matrix_world), atol=1e-6):
+        return  # a copy, which remembers the same places
     work = bmesh.from_edit_mesh(obj.data)
     here = np.fromiter((value for vert in work.verts for value in vert.co), np.float32).reshape(-1, 3)
     there = read_positions(part.data)

@@ -35,6 +35,7 @@ COUNT, BONES = 240, 6
 
 @pytest.fixture(scope="module", autouse=True)
 def registered():
+    bpy.ops.wm.read_factory_settings(use_empty=True)
     gskin_addon.register()
     yield
     gskin_addon.unregister()
@@ -48,8 +49,17 @@ def rng():
 @pytest.fixture
 def scene(rng):
     """Splats with a fabric and their armature; the splats are chosen."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    empty()
     return make(rng)
+
+
+def empty():
+    """Nothing in the file but node groups, which take a second to build."""
+    if bpy.context.mode != "OBJECT":
+        bpy.ops.object.mode_set(mode="OBJECT")
+    for kind in (bpy.data.objects, bpy.data.meshes, bpy.data.armatures, bpy.data.collections, bpy.data.libraries):
+        bpy.data.batch_remove(list(kind))
+    bpy.context.view_layer.update()
 
 
 def make(rng, name="S", rig="Rig", count=COUNT, degree=1):
@@ -177,7 +187,7 @@ def test_nothing_is_written_where_nothing_changed(scene, rng, monkeypatch):
 
 
 def test_splats_that_get_an_armature_by_hand_turn_with_it(rng):
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    empty()
     cloud = clouds.random_cloud(COUNT, 1)
     obj, armature = create_splat_object(cloud, "S"), rigs.make_chains(BONES, rng)
     for bone, column in zip(armature.data.bones, rigs.random_weights(cloud, BONES, rng).T, strict=True):
