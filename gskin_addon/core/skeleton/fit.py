@@ -125,10 +125,7 @@ def fit_with(
     flip = np.array([-1.0, 1.0, 1.0])
     found = _named(spec.joints, left.joints * standing.scale, right.joints * flip * standing.scale)
     spread = float(np.concatenate([left.spread, right.spread]).mean()) * standing.scale / standing.diagonal
-    if landmarks:
-        own = {name: turn.T @ np.asarray(at, np.float64) - standing.origin for name, at in landmarks.items()}
-        found = move_to_landmarks(found, own, standing.shape.points)
-    found, shift, same = both_alike(found, standing.diagonal, alike)
+    found, shift, same = _finished(found, standing, turn, alike, landmarks or {})
     surface = standing.shape.points - shift
     skeleton, deform = layouts.build(spec.bones, spec.ends(found, surface))
     placement = np.eye(4)
@@ -155,10 +152,7 @@ def _fit_bird(
     standing = stand(turns[quarters], KINDS["bird"].unit)
     turn = (np.linalg.matrix_power(QUARTER, quarters) @ base).T
     found = bird_joints(standing.shape.points)
-    if landmarks:
-        own = {name: turn.T @ np.asarray(at, np.float64) - standing.origin for name, at in landmarks.items()}
-        found = move_to_landmarks(found, own, standing.shape.points)
-    found, shift, same = both_alike(found, standing.diagonal, alike)
+    found, shift, same = _finished(found, standing, turn, alike, landmarks or {})
     skeleton, deform = layouts.build(layouts.BIRD, found)
     placement = np.eye(4)
     placement[:3, :3], placement[:3, 3] = turn, turn @ (standing.origin + shift)
@@ -185,6 +179,32 @@ def both_alike(joints: dict[str, Array], diagonal: float, wanted: bool | None) -
         if name in own:
             own[name] = own[name] * np.array([0.0, 1.0, 1.0])
     return own, shift, True
+
+
+def _finished(
+    found: dict[str, Array], standing: Standing, turn: Array, alike: bool | None, landmarks: Mapping[str, Array]
+) -> tuple[dict[str, Array], Array, bool]:
+    """As `both_alike`, with the limbs brought to landmarks. Where both sides are alike, a landmark of one side holds
+    for the other as well; two that contradict one another leave each side as it is."""
+    diagonal = standing.diagonal
+    own, shift, same = both_alike(found, diagonal, alike)
+    if not landmarks:
+        return own, shift, same
+    flip = np.array([-1.0, 1.0, 1.0])
+    goals = {name: turn.T @ np.asarray(at, np.float64) - standing.origin for name, at in landmarks.items()}
+    twins = {name: name[:-1] + "LR"[name[-1] == "L"] for name in goals if name[-2:] in (".L", ".R")}
+    off = [np.linalg.norm(goals[name] - shift - flip * (goals[twin] - shift))
+           for name, twin in twins.items() if twin in goals]  # fmt: skip
+    if same and alike is None and max(off, default=0.0) > ALIKE * diagonal:
+        own, shift, same = both_alike(found, diagonal, False)
+    goals = {name: at - shift for name, at in goals.items()}
+    if same:
+        goals |= {twin: flip * goals[name] for name, twin in twins.items() if twin not in goals}
+    own = move_to_landmarks(own, goals, standing.shape.points - shift)
+    if same:
+        own, further, _ = both_alike(own, diagonal, True)
+        shift = shift + further
+    return own, shift, same
 
 
 def _turned(cloud: SplatCloud, spec: Kind, network: VoteNetwork, front: str, tick: Tick) -> tuple[Standing, Array]:

@@ -84,6 +84,22 @@ def test_landmarks_bring_the_ends_of_limbs_there(person):
         move_to_landmarks(plain.joints, {"hand.X": goal}, person.means)
 
 
+def test_a_landmark_of_one_side_holds_for_the_other_where_both_are_alike(person):
+    goal = np.array([0.62, -0.1, 1.1])
+    found = fit("human", person, front="-y", landmarks={"hand.L": goal})
+    assert found.alike
+    joints = placed_joints(found)
+    np.testing.assert_allclose(joints["wrist.R"] * [-1, 1, 1], joints["wrist.L"], atol=0.05)  # its plane is near x = 0
+    plain = placed_joints(fit("human", person, front="-y"))
+    assert joints["wrist.L"][2] > plain["wrist.L"][2] + 0.05
+    np.testing.assert_allclose(joints["knee.R"], plain["knee.R"], atol=1e-6)
+
+
+def test_landmarks_that_contradict_one_another_leave_the_sides_apart(person):
+    goals = {"hand.L": np.array([0.62, -0.1, 1.1]), "hand.R": np.array([-0.3, -0.4, 1.5])}
+    assert not fit("human", person, front="-y", landmarks=goals).alike
+
+
 def test_what_cannot_be_fitted_says_so(person):
     with pytest.raises(InputError, match="'fish' is no kind of skeleton; choose one of human"):
         fit("fish", person)
