@@ -121,7 +121,7 @@ def read_influences(obj: bpy.types.Object) -> tuple[Array, Array] | None:
     weight = [read_attribute(obj.data, names.WEIGHT.format(slot)) for slot in slots]
     if any(values is None for values in (*bone, *weight)):
         return None
-    return np.stack(bone, axis=1), np.stack(weight, axis=1)  # type: ignore[arg-type]
+    return np.stack(bone, axis=1), np.stack(weight, axis=1)
 
 
 def rest_is_kept(obj: bpy.types.Object) -> bool:

@@ -12,6 +12,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from .armature import deform_bone_names
+from .attributes import ObjectData
 from .bone_frames import armature_of, bone_order, is_bone_frames, is_outdated
 from .node_builder import set_input
 from .object_ref import object_by_uid
@@ -57,7 +58,7 @@ def clean() -> None:
     used = {frames_of(obj) for obj in bpy.data.objects if is_splat_object(obj)}
     for frames in [obj for obj in bpy.data.objects if is_bone_frames(obj) and obj.library is None]:
         if frames not in used and not fits(frames, armature_of(frames)):
-            mesh = frames.data
+            mesh: ObjectData = frames.data
             bpy.data.objects.remove(frames)
             if mesh is not None and not mesh.users:
                 bpy.data.meshes.remove(mesh)

@@ -91,7 +91,8 @@ def _look_at(objects: Iterable[bpy.types.Object]) -> None:
     for obj in objects:
         if obj.mode == "EDIT" or not obj.users_scene:
             continue
-        stored = obj.data.get(names.PLACES)
+        mesh: ObjectData = obj.data
+        stored = mesh.get(names.PLACES)
         if stored is not None and stored["count"] != len(obj.data.vertices):
             try:
                 if stored["count"] > len(obj.data.vertices):
@@ -101,15 +102,16 @@ def _look_at(objects: Iterable[bpy.types.Object]) -> None:
                     _mend_joined(obj)
             except GSkinError as error:
                 print(f"gskin: {error}")  # nobody to report to
-            remember_places(obj.data)
+            remember_places(mesh)
         _note(obj)
 
 
 def _note(obj: bpy.types.Object) -> None:
-    found = reference_points(obj.data)
+    mesh: ObjectData = obj.data
+    found = reference_points(mesh)
     if found is None:
         return
-    mark: Any = obj.data[names.MARK]
+    mark: Any = mesh[names.MARK]
     _seen[obj.session_uid] = _Seen(
         count=len(obj.data.vertices),
         index=np.array(obj.data[names.PLACES]["index"].to_list(), np.int64),
@@ -117,7 +119,7 @@ def _note(obj: bpy.types.Object) -> None:
         matrix=np.array(obj.matrix_world, np.float64),
         edited=is_edited(obj),
         sure=names.CONFIDENCE in obj.data.attributes,
-        compared=None if names.COMPARED not in obj.data else obj.data[names.COMPARED].to_dict(),
+        compared=None if names.COMPARED not in mesh else mesh[names.COMPARED].to_dict(),
         extra=(str(mark.get("extra", "")), str(mark.get("types", ""))),
     )
 
@@ -249,8 +251,9 @@ def _remove_left_behind(obj: bpy.types.Object, part: bpy.types.Object) -> None:
         return
     if not np.allclose(np.array(obj.matrix_world), np.array(part.matrix_world), atol=1e-6):
         return  # a copy, which remembers the same places
-    work = bmesh.from_edit_mesh(obj.data)
-    here = np.fromiter((value for vert in work.verts for value in vert.co), np.float32).reshape(-1, 3)
+    mesh: ObjectData = obj.data
+    work = bmesh.from_edit_mesh(mesh)
+    here = np.array([vert.co[:] for vert in work.verts], np.float32).reshape(-1, 3)
     there = read_positions(part.data)
     rows = np.flatnonzero(np.isin(_keys(here), _keys(there)))
     layer, base = work.verts.layers.float_color.get(names.BASE), read_attribute(part.data, names.BASE)
@@ -263,7 +266,7 @@ def _remove_left_behind(obj: bpy.types.Object, part: bpy.types.Object) -> None:
         rows = rows[np.fromiter((key in taken for key in keys), np.bool_, len(rows))]
     if len(rows):
         bmesh.ops.delete(work, geom=[work.verts[row] for row in rows.tolist()], context="VERTS")
-        bmesh.update_edit_mesh(obj.data)
+        bmesh.update_edit_mesh(mesh)
 
 
 def _keys(points: Array) -> Array:

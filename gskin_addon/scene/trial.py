@@ -235,9 +235,9 @@ def _turn(bone: bpy.types.PoseBone, axis: int, angle: float) -> None:
     if bone.rotation_mode == "QUATERNION":
         bone.rotation_quaternion = bone.rotation_quaternion @ turn
     elif bone.rotation_mode == "AXIS_ANGLE":
-        angle, *way = bone.rotation_axis_angle
-        way, angle = (mathutils.Quaternion(way, angle) @ turn).to_axis_angle()
-        bone.rotation_axis_angle = (angle, *way)
+        before, *about = bone.rotation_axis_angle
+        way, after = (mathutils.Quaternion(about, before) @ turn).to_axis_angle()
+        bone.rotation_axis_angle = (after, *way)
     else:
         mode: Any = bone.rotation_mode
         bone.rotation_euler = (bone.rotation_euler.to_quaternion() @ turn).to_euler(mode, bone.rotation_euler)

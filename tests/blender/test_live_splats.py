@@ -541,3 +541,32 @@ def test_files_without_handlers_are_brought_in_line(scene, rng):
         assert_right(obj, armature, rng)
     finally:
         gskin_addon.register()
+
+
+def test_with_a_window_it_comes_to_rest(scene, rng, monkeypatch):
+    """In slices from a timer; what is written then is not taken for another edit."""
+    obj, armature = scene
+    monkeypatch.setattr(handlers, "_watched", lambda: True)
+    monkeypatch.setattr(handlers, "BUDGET", 0.0)
+    for change in (by_script, in_edit_mode, in_weight_paint):
+        change(obj)
+        bpy.context.view_layer.update()
+        assert handlers._running, change
+        calls = 0
+        while handlers._go_on() is not None:
+            calls += 1
+            assert calls < 50
+        bpy.context.view_layer.update()
+        assert not handlers._running, change
+        assert not handlers._changed, change
+        assert_right(obj, armature, rng)
+    # An edit in the middle begins anew.
+    by_script(obj)
+    bpy.context.view_layer.update()
+    handlers._go_on()
+    levels(obj)
+    while handlers._go_on() is not None:
+        pass
+    bpy.context.view_layer.update()
+    assert not handlers._running
+    assert_right(obj, armature, rng)

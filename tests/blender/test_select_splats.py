@@ -21,6 +21,7 @@ from gskin_addon.scene.seams import write_seams
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud
 from gskin_addon.scene.steps import run_to_end
 from gskin_addon.scene.weights import read_weights, write_weights
+from gskin_addon.ui import select_menu
 
 COUNT, BONES = 400, 4
 
@@ -185,3 +186,26 @@ def test_unsure_clusters_one_after_the_other(splats):
     bpy.ops.gskin.select_unsure_splats(worst=10, mode="ADD")
     assert selected(splats).sum() > mask.sum()
     assert names.CONFIDENCE in splats.data.attributes
+
+
+def test_blenders_select_menus_have_them_for_splats_alone(splats):
+    class Layout:
+        def __init__(self):
+            self.drawn = []
+
+        def separator(self):
+            pass
+
+        def operator(self, name):
+            self.drawn.append(name)
+
+    for active, count in ((splats, len(select_menu.OPERATORS)), (bpy.data.objects["Rig"], 0)):
+        bpy.context.view_layer.objects.active = active
+        menu = type("Menu", (), {"layout": Layout()})()
+        select_menu.draw(menu, bpy.context)
+        assert len(menu.layout.drawn) == count
+        for name in menu.layout.drawn:
+            getattr(bpy.ops.gskin, name.removeprefix("gskin.")).get_rna_type()
+    bpy.context.view_layer.objects.active = splats
+    for name in select_menu.MENUS:
+        assert select_menu.draw in getattr(bpy.types, name)._dyn_ui_initialize()
