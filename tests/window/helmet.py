@@ -153,7 +153,7 @@ def free(stage: Stage, hands: Hands, view: View) -> Story:
 def german(stage: Stage, hands: Hands, view: View) -> Story:
     """The side bar in German, from top to bottom, for people to look at."""
     preferences = bpy.context.preferences.view
-    preferences.language = "de_DE" if bpy.app.version < (4, 5) else "de"
+    preferences.language = "de_DE"
     preferences.use_translate_interface = preferences.use_translate_tooltips = True
     for name in ("GSKIN_PT_display", "GSKIN_PT_export", "GSKIN_PT_hygiene"):
         panel = getattr(bpy.types, name)
