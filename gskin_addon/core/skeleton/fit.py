@@ -34,8 +34,11 @@ LOOKS = {"-y": 0, "+x": 3, "+y": 2, "-x": 1}
 ALIKE = 0.05
 """Sides count as alike where a joint lies within this share of the diagonal of its twin's mirror image, in the mean."""
 
-UNSURE = 0.06
-"""A fit is unsure where its joints are expected to be off by more than this share of the diagonal."""
+UNSURE = 0.055
+"""A fit is unsure where the votes for its joints lie farther apart than this share of the diagonal, in the mean."""
+
+CLEAR = 5.0
+"""It is clear to where a body looks where the best of four turns is ahead of the next by so much, in logits."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +62,8 @@ KINDS = {
 class Fit:
     """skeleton: bones in the body's own frame, in metres: it stands on z = 0, looks along -y, its left is +x; deform
     (B,): bones that splats may follow; placement (4, 4): from that frame to the splats'; joints: by name, in that
-    frame; alike: whether both sides were made mirror images; doubt: the expected error of the joints, a share of
-    the diagonal."""
+    frame; alike: whether both sides were made mirror images; doubt: how far the votes for the joints lie
+    apart, a share of the diagonal; front_sure: whether it is clear to where the body looks."""
 
     kind: str
     skeleton: Skeleton
@@ -69,11 +72,12 @@ class Fit:
     joints: dict[str, Array]
     alike: bool
     doubt: float
+    front_sure: bool = True
 
     @property
     def unsure(self) -> bool:
         """Whether somebody should look, or name landmarks."""
-        return self.doubt > UNSURE
+        return self.doubt > UNSURE or not self.front_sure
 
     def placed(self) -> Skeleton:
         """The deform bones among the splats."""
@@ -118,7 +122,7 @@ def fit_with(
     """`fit` by another network than the one that comes with the add-on."""
     _check_front(front)
     spec = KINDS[kind]
-    standing, turn = _turned(cloud, spec, network, front, tick)
+    standing, turn, clear = _turned(cloud, spec, network, front, tick)
     values = features(standing.shape, standing.scale)
     left, right = network(values), network(mirrored(values))
     tick(0.8)
@@ -132,7 +136,7 @@ def fit_with(
     placement[:3, :3] = turn
     placement[:3, 3] = turn @ (standing.origin + shift)
     tick(1.0)
-    return Fit(kind, skeleton, deform, placement, found, same, _expected(spread))
+    return Fit(kind, skeleton, deform, placement, found, same, spread, clear)
 
 
 def _fit_bird(
@@ -207,14 +211,16 @@ def _finished(
     return own, shift, same
 
 
-def _turned(cloud: SplatCloud, spec: Kind, network: VoteNetwork, front: str, tick: Tick) -> tuple[Standing, Array]:
-    """The body looking along -y, and the rotation (3, 3) from there to how the splats lie."""
+def _turned(
+    cloud: SplatCloud, spec: Kind, network: VoteNetwork, front: str, tick: Tick
+) -> tuple[Standing, Array, bool]:
+    """The body looking along -y, the rotation (3, 3) from there to how the splats lie, and whether that is clear."""
     shape = body_shape(cloud)
     tick(0.4)
     if front != "auto":
         quarters = LOOKS[front]
         turned = quarter_turns(shape)[quarters]
-        return stand(turned, spec.unit), np.linalg.matrix_power(QUARTER, quarters).T
+        return stand(turned, spec.unit), np.linalg.matrix_power(QUARTER, quarters).T, True
     angle = slant(shape.points)
     base = _about_z(angle)
     if angle:
@@ -223,7 +229,8 @@ def _turned(cloud: SplatCloud, spec: Kind, network: VoteNetwork, front: str, tic
     standings = [stand(turned, spec.unit) for turned in quarter_turns(shape)]
     looks = [_fits(network, standing) for standing in standings]
     best = int(np.argmax(looks))
-    return standings[best], (np.linalg.matrix_power(QUARTER, best) @ base).T
+    clear = looks[best] - sorted(looks)[-2] > CLEAR
+    return standings[best], (np.linalg.matrix_power(QUARTER, best) @ base).T, bool(clear)
 
 
 def _check_front(front: str) -> None:
@@ -255,11 +262,6 @@ def _named(names: tuple[str, ...], left: Array, right: Array) -> dict[str, Array
         else:
             found[f"{name}.L"], found[f"{name}.R"] = left[number], right[number]
     return found
-
-
-def _expected(spread: float) -> float:
-    """The expected error of the joints from the spread of their votes, shares of the diagonal."""
-    return spread
 
 
 @cache

@@ -19,9 +19,6 @@ from .vote_module import VoteModule
 Array = NDArray[Any]
 
 WIDTH, STEPS, BATCH, RATE = 64, 1500, 12, 2e-3
-FRONT_STEPS, FRONT_BATCH, FRONT_RATE, DROPPED = 600, 64, 2e-3, 0.3
-"""Of the second stage, which learns where a body looks: DROPPED is the share of what is pooled that is left out."""
-
 LOOSE = 0.15
 """Weight of the votes' own errors beside that of their mean."""
 
@@ -80,32 +77,7 @@ def train(
         if (step + 1) % 250 == 0:
             told(f"{step + 1} steps: joints off by {100 * mean_loss / 250:.2f} % of the diagonal")
             mean_loss = 0.0
-    learn_front(module, values, chance, rng)
     return {name: value.detach().numpy().astype(np.float16) for name, value in module.state_dict().items()}
-
-
-def learn_front(module: VoteModule, values: Array, chance: Array, rng: np.random.Generator) -> None:
-    """Teach the rest of a trained network which of four quarter turns of a body looks along -y, from what it has pooled
-    over the voxels of examples values (E, M, FEATURES); chance (E,): how often each is shown."""
-    count = len(values)
-    with torch.no_grad():
-        turns = [turned_by_quarters(values, np.full(count, quarter)) for quarter in range(4)]
-        pooled = torch.stack([
-            torch.cat([module.pool(torch.from_numpy(shown[at : at + 32])) for at in range(0, count, 32)])
-            for turn in turns for shown in (turn, mirrored(turn))
-        ]).unflatten(0, (4, 2))  # fmt: skip
-    for layer in module.look:
-        if isinstance(layer, torch.nn.Linear):
-            layer.reset_parameters()
-    optimiser = torch.optim.AdamW(module.look.parameters(), lr=FRONT_RATE, weight_decay=0.05)
-    for _ in range(FRONT_STEPS):
-        rows = torch.from_numpy(rng.choice(count, FRONT_BATCH, p=chance))
-        shown = torch.nn.functional.dropout(pooled[:, :, rows], DROPPED)
-        fits = module.look(shown)[..., 0].sum(dim=1)  # both the body and its mirror image, as the fit sums them
-        loss = torch.nn.functional.cross_entropy(fits.T, torch.zeros(FRONT_BATCH, dtype=torch.int64))
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
 
 
 def side_columns(names: tuple[str, ...]) -> tuple[Array, Array]:

@@ -28,11 +28,6 @@ class VoteModule(nn.Module):
         self.say = nn.Linear(width, 4 * joints)
         self.look = nn.Sequential(nn.Linear(2 * width, width // 2), nn.ReLU(), nn.Linear(width // 2, 1))
 
-    def pool(self, values: torch.Tensor) -> torch.Tensor:
-        """(E, 2 * width): what the voxels of values (E, M, FEATURES) have in the mean, and at most."""
-        x = self.enter((values - self.mean) / self.deviation)
-        return torch.cat([x.mean(dim=1), x.amax(dim=1)], dim=1)
-
     def forward(self, values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         """joints (E, J, 3), places (E, M, J, 3), weight (E, M, J), fits (E,) of values (E, M, FEATURES)."""
         x = self.enter((values - self.mean) / self.deviation)
