@@ -77,7 +77,7 @@ def test_a_fabric_under_the_splats_comes_back(tmp_path):
 
 
 def test_what_nodes_would_have_to_shear_stands_free_in_poses_and_clips(tmp_path):
-    """Bones, one of them bendy, that do not inherit scale below a stretched one: splats follow joints without parents."""
+    """Bones, one of them bendy, that do not inherit scale below a stretched one."""
     obj, armature = bent_rig()
     segments(armature, 4)
     armature.data.bones["b3"].inherit_scale, armature.data.bones["b2"].inherit_scale = "NONE", "ALIGNED"
