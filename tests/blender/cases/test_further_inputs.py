@@ -111,7 +111,11 @@ def test_posed_splats_lie_where_blender_puts_them(change, tmp_path, capfd):
         assert "Warning" not in said
 
 
-def test_what_gltf_would_have_to_shear_is_said(tmp_path, capfd):
+def test_what_gltf_cannot_shear_is_said(tmp_path, capfd, monkeypatch):
+    """Of a rig to which no stand-ins can be added."""
+    monkeypatch.setattr("gskin_addon.scene.gltf_bends.can_be_joints", lambda armature: False)
+    monkeypatch.setattr("gskin_addon.scene.gltf_export.can_be_joints", lambda armature: False)
+
     def change(splats, armature):
         armature.data.bones["arm.L"].inherit_scale = "NONE"
         turned = {1: (0.9, 0.3, 0.1, 0)}
