@@ -19,6 +19,7 @@ from .bone_frames import has_joints
 from .frame_nodes import bone_points, bounds, choose
 from .node_algebra import parts
 from .node_builder import Input, Tree, add_modifier, find_group, function_group, geometry_group, get_input, set_input
+from .steps import Steps
 from .stretch_nodes import influences, stretched_splats
 
 VERSIONS = {False: 5, True: 6}
@@ -35,6 +36,16 @@ def rotation_group(*, bendy: bool = False) -> bpy.types.NodeTree:
     if new:
         _build(group, bendy)
     return group
+
+
+def iter_rotation_group() -> Steps[None]:
+    """Build the group for bones without segments part by part, where the file has none: no slice is long then."""
+    kinds = {"Geometry": "Geometry", "Bones": "Geometry"}
+    for done, (name, build) in enumerate((("GSkin Turned", _turned), ("GSkin Stretched", _plain))):
+        function_group(name, GROUPS, kinds, {"Geometry": "Geometry"}, build)
+        yield (done + 1) / 3
+    rotation_group()
+    yield 1.0
 
 
 def find_rotation(obj: bpy.types.Object) -> bpy.types.NodesModifier | None:

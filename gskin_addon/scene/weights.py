@@ -32,7 +32,7 @@ from .bone_frames import (
 from .compared import drop_kept, keep
 from .influences import columns_of, rest_is_kept, slice_rows, strongest, turns_by, write_influences
 from .object_ref import ObjectRef, object_by_uid
-from .rotation_nodes import add_rotation, find_rotation, frames_of
+from .rotation_nodes import add_rotation, find_rotation, frames_of, iter_rotation_group
 from .single_user import own_mesh, sharers
 from .splat_object import is_splat_object, refuse_edit_mode
 from .steps import SLICE, Steps, part_of, run_to_end, slices
@@ -135,6 +135,8 @@ class NewWeights:
 
     def make(self) -> Steps[None]:
         """Find every splat's strongest bones and make the vertex groups. Raises InputError for NaN."""
+        # Node groups that nothing uses yet; `commit` would take too long to build them.
+        yield from part_of(iter_rotation_group(), 0.0, 0.0)
         yield from part_of(self._choose(), 0.0, 0.3)
         columns = columns_of(self._index, self._value)
         yield from part_of(self._groups.write(self._deform, columns), 0.3, 1.0)
