@@ -165,11 +165,11 @@ def _mode_check(splats: bpy.types.Object, armature: bpy.types.Object) -> Check:
 
 
 def _scale_check(splats: bpy.types.Object, armature: bpy.types.Object) -> Check:
-    for look in (lambda: similarity_as_shown(splats), lambda: rig_similarity(armature, as_shown=True)):
-        try:
-            look()
-        except InputError as error:
-            return Check("Scale", "stop", error.plain, "gskin.even_scale", "Make the Scale Even")
+    try:
+        similarity_as_shown(splats)
+        rig_similarity(armature, as_shown=True)
+    except InputError as error:
+        return Check("Scale", "stop", error.plain, "gskin.even_scale", "Make the Scale Even")
     return Check("Scale")
 
 
