@@ -195,13 +195,15 @@ def _finished(
     if not landmarks:
         return own, shift, same
     flip = np.array([-1.0, 1.0, 1.0])
-    goals = {name: turn.T @ np.asarray(at, np.float64) - standing.origin for name, at in landmarks.items()}
+    goals: dict[str, Array] = {}
+    for name, at in landmarks.items():
+        goals[name] = turn.T @ np.asarray(at, np.float64) - standing.origin
     twins = {name: name[:-1] + "LR"[name[-1] == "L"] for name in goals if name[-2:] in (".L", ".R")}
     off = [np.linalg.norm(goals[name] - shift - flip * (goals[twin] - shift))
            for name, twin in twins.items() if twin in goals]  # fmt: skip
     if same and alike is None and max(off, default=0.0) > ALIKE * diagonal:
         own, shift, same = both_alike(found, diagonal, False)
-    goals = {name: at - shift for name, at in goals.items()}
+    goals = {name: goal - shift for name, goal in goals.items()}
     if same:
         goals |= {twin: flip * goals[name] for name, twin in twins.items() if twin not in goals}
     own = move_to_landmarks(own, goals, standing.shape.points - shift)
