@@ -23,7 +23,7 @@ from .bird import bird_front, bird_joints
 from .body_shape import body_shape
 from .joints import HUMAN, MIDDLE, QUADRUPED
 from .landmarks import move_to_landmarks
-from .stance import QUARTER, Standing, quarter_turns, slant, stand
+from .stance import QUARTER, Standing, feet_ahead, quarter_turns, slant, stand
 from .votes import VoteNetwork, features, mirrored
 
 Array = NDArray[Any]
@@ -36,6 +36,9 @@ ALIKE = 0.05
 
 UNSURE = 0.055
 """A fit is unsure where the votes for its joints lie farther apart than this share of the diagonal, in the mean."""
+
+FEET = 0.03
+"""Where that is not clear for a person, feet decide that reach so much farther, in heights, behind the shins."""
 
 CLEAR = 5.0
 """It is clear to where a body looks where the best of four turns is ahead of the next by so much, in logits."""
@@ -232,6 +235,9 @@ def _turned(
     looks = [_fits(network, standing) for standing in standings]
     best = int(np.argmax(looks))
     clear = looks[best] - sorted(looks)[-2] > CLEAR
+    opposite = (best + 2) % 4
+    if not clear and looks[opposite] == sorted(looks)[-2] and spec.unit == "height":
+        best = opposite if feet_ahead(standings[best]) < -FEET else best
     return standings[best], (np.linalg.matrix_power(QUARTER, best) @ base).T, bool(clear)
 
 
