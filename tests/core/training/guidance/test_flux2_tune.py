@@ -45,9 +45,9 @@ def silent(_done, _message):
 
 
 def fixed_loss(painter, pair):
-    """The loss at eight times that do not change."""
+    """The loss at six times that do not change."""
     with torch.no_grad():
-        return np.mean([float(flow_loss(painter, pair, torch.Generator().manual_seed(seed))) for seed in range(8)])
+        return np.mean([float(flow_loss(painter, pair, torch.Generator().manual_seed(seed))) for seed in range(6)])
 
 
 def test_a_pair_is_learned_and_the_guidance_takes_the_lora(pairs, model, tmp_path):
@@ -55,8 +55,9 @@ def test_a_pair_is_learned_and_the_guidance_takes_the_lora(pairs, model, tmp_pat
     settings = {
         "model": str(model),
         "rank": 8,
-        "batch": 2,
+        "batch": 1,
         "updates": 30,
+        "checkpointing": False,
         "learning_rate": 2e-2,
         "weight_decay": 0.0,
         "steps": 2,
