@@ -146,7 +146,7 @@ class Training:
                 stream = np.random.SeedSequence([options.seed, update, place]).generate_state(1, np.uint64)[0]
                 randomness = torch.Generator().manual_seed(int(stream >> np.uint64(1)))
                 loss = flow_loss(self._painter, self._data[number], randomness)
-                (loss / options.batch).backward()
+                torch.autograd.backward(loss / options.batch)
                 losses.append(float(loss.detach()))
             mean = sum(losses) / len(losses)
             if not math.isfinite(mean):
