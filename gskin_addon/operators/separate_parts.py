@@ -79,9 +79,10 @@ class GSKIN_OT_separate_parts(WeightEdit, bpy.types.Operator):
     def steps(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Any) -> Steps[int]:
         uid = splats.session_uid
         count = yield from super().steps(context, splats, selected)
-        splats = object_by_uid(uid)
-        write_seams(splats, self._labels)
-        cut_fabric(splats, self._labels)
+        changed = object_by_uid(uid)
+        if changed is not None:  # as it is: the last slice has just found it
+            write_seams(changed, self._labels)
+            cut_fabric(changed, self._labels)
         return count
 
     def done(self, count: int) -> str:

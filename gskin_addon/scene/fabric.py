@@ -162,4 +162,10 @@ def _add(mesh: ObjectData, fabric: Fabric) -> None:
     for name, values in ((_EDGE, fabric.edges), (_CORNER, fabric.triangles), (_SIDE, fabric.sides)):
         mesh.attributes[name].data.foreach_set("value", np.ascontiguousarray(values, np.int32).ravel())
     mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
+    # Blender gives new ones as selected, and Edit Mode would select their points with them.
+    selected = np.zeros(len(mesh.vertices), np.bool_)
+    mesh.vertices.foreach_get("select", selected)
+    for name, ends in ((".select_edge", fabric.edges), (".select_poly", fabric.triangles)):
+        if name in mesh.attributes:
+            mesh.attributes[name].data.foreach_set("value", selected[ends].all(axis=1))
     mesh.update()

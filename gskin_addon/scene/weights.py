@@ -20,7 +20,7 @@ from ..core.rig.influences import Influences
 from . import names
 from .armature import deform_bone_names
 from .attributes import write_attribute
-from .binding import bind, check_splats, set_parent, show_posed_in_edit_mode
+from .binding import bind, check_splats, iter_prepare, set_parent, show_posed_in_edit_mode
 from .bone_frames import (
     armature_modifier,
     armature_of,
@@ -88,7 +88,8 @@ def iter_write_weights(
     with NewWeights(
         obj, armature, weights, bones, max_influences=max_influences, confidence=confidence, start=start
     ) as new:
-        yield from new.make()
+        yield from part_of(iter_prepare(armature), 0.0, 0.1)
+        yield from part_of(new.make(), 0.1, 1.0)
         new.commit()
 
 

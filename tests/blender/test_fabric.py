@@ -104,6 +104,18 @@ def test_made_again_and_taken_away(scene):
     assert not bpy.ops.gskin.remove_fabric.poll()
 
 
+def test_what_is_selected_stays_so(scene):
+    obj, _ = scene
+    chosen = np.arange(COUNT) % 7 == 0
+    obj.data.vertices.foreach_set("select", chosen)
+    run_to_end(iter_make_fabric(obj))
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.object.mode_set(mode="OBJECT")
+    after = np.zeros(COUNT, bool)
+    obj.data.vertices.foreach_get("select", after)
+    assert np.array_equal(after, chosen)
+
+
 def test_exports_are_points(scene, tmp_path):
     obj, _ = scene
     before = tmp_path / "before.glb"

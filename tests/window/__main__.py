@@ -13,13 +13,14 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 from blenders import SUITES, Blender, find_blenders
 from installing import check_repository
-from judging import Check, judge, judge_strokes
+from judging import FREED, FREED_MOVED, PAINT_MOVED, PAINTED, Check, judge, judge_weights
 from offscreen import VERSION, check_viewport
 from splat_pictures import judge_splats
 from version_venv import Missing, make
@@ -42,10 +43,11 @@ def main() -> int:
     parser.add_argument("--viewport", action="store_true", help=f"only the 3D view of bpy {VERSION}")
     parser.add_argument("--splats", action="store_true", help="only the drawing of splats in windows")
     parser.add_argument("--strokes", action="store_true", help="only weight tools by mouse")
+    parser.add_argument("--helmet", action="store_true", help="only the helmet of a real capture, which is separated")
     parser.add_argument("--pictures", action="store_true", help="renew docs/images")
     options = parser.parse_args()
     splats, rig = sample(options.demo.absolute(), rigged=not options.splats)
-    part = options.background or options.splats or options.strokes
+    part = options.background or options.splats or options.strokes or options.helmet
     blenders = [] if options.viewport else find_blenders(options.suite)
     verdicts: dict[str, list[Check] | str] = {}
     for blender in blenders:
@@ -83,6 +85,8 @@ def play(blender: Blender, out: Path, splats: Path, rig: Path, options: argparse
         return play_splats(blender, out / "splats", splats, environment)
     if options.strokes:
         return play_strokes(blender, out / "strokes", splats, rig, environment)
+    if options.helmet:
+        return play_helmet(blender, out / "helmet", environment)
     plain = [blender.program, "-b", "--python-exit-code", "1", "--python", str(ROOT / "tests/window/background.py")]
     if blender.run([*plain, "--", "--out", str(out), "--splats", str(splats)], environment, LONGEST) != 0:
         return [("the extension works without a window", False, "Blender's words are above")]
@@ -136,16 +140,40 @@ def play_splats(blender: Blender, out: Path, splats: Path, environment: dict[str
 
 def play_strokes(blender: Blender, out: Path, splats: Path, rig: Path, environment: dict[str, str]) -> list[Check]:
     """Blender's weight tools and ours on the sample, by mouse; pictures below `out`."""
+    words = ["--splats", str(splats), "--rig", str(rig)]
+    return play_weights(blender, out, "strokes.py", words, PAINTED, PAINT_MOVED, environment)
+
+
+def play_helmet(blender: Blender, out: Path, environment: dict[str, str]) -> list[Check]:
+    """The capture's helmet, freed from the thigh; pictures below `out`."""
+    folder = Path(os.environ.get("GSKIN_ASSETS", ROOT.parent / "shared" / "assets")).absolute() / "splats"
+    if not folder.is_dir():
+        return [("the capture is there", False, str(folder))]
+    words = ["--splats", str(folder / "pc_biker.ply"), "--rig", str(folder / "pc_biker_rig.glb"), "--again"]
+    return play_weights(blender, out, "helmet.py", words, FREED, FREED_MOVED, environment, folder)
+
+
+def play_weights(
+    blender: Blender,
+    out: Path,
+    script: str,
+    words: list[str],
+    shown: Sequence[str],
+    differing: Sequence[tuple[str, str]],
+    environment: dict[str, str],
+    *folders: Path,
+) -> list[Check]:
+    """Play a script of weights by mouse, and judge it; see `judge_weights`."""
     session = [
         *("xvfb-run", "-a", "-s", SCREEN, blender.program),
-        *("--window-geometry", "0", "0", "1600", "900", "--python", str(ROOT / "tests/window/strokes.py"), "--"),
-        *("--out", str(fresh(out)), "--splats", str(splats), "--rig", str(rig)),
+        *("--window-geometry", "0", "0", "1600", "900", "--python", str(ROOT / "tests/window" / script), "--"),
+        *("--out", str(fresh(out)), *words),
     ]
-    code = blender.run(session, environment, LONGEST)
-    checks = judge_strokes(out)
+    code = blender.run(session, environment, LONGEST, list(folders))
+    checks = judge_weights(out, shown, differing)
     if checks is None:
-        return [("the strokes' session comes to its end", False, f"Blender ended with {code}; its words are above")]
-    return checks if code == 0 else [*checks, ("Blender ends well after strokes", False, f"exit code {code}")]
+        return [(f"{script} comes to its end", False, f"Blender ended with {code}; its words are above")]
+    return checks if code == 0 else [*checks, (f"Blender ends well after {script}", False, f"exit code {code}")]
 
 
 def build_zip(out: Path) -> Path:

@@ -153,7 +153,7 @@ def free(stage: Stage, hands: Hands, view: View) -> Story:
 def german(stage: Stage, hands: Hands, view: View) -> Story:
     """The side bar in German, from top to bottom, for people to look at."""
     preferences = bpy.context.preferences.view
-    preferences.language = "de_DE" if bpy.app.version < (4, 5) else "de"
+    preferences.language = "de_DE"
     preferences.use_translate_interface = preferences.use_translate_tooltips = True
     for name in ("GSKIN_PT_display", "GSKIN_PT_export", "GSKIN_PT_hygiene"):
         panel = getattr(bpy.types, name)
@@ -203,7 +203,7 @@ def settled(stage: Stage, view: View) -> Story:
     for _ in range(3):
         view.area.tag_redraw()
         yield 0.5
-        yield lambda: not sorter.is_busy() and not sorter.has_results()
+        yield stage.soon(lambda: not sorter.is_busy() and not sorter.has_results(), 5.0)
 
 
 def dragged() -> int:

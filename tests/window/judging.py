@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from looks import changed, look, read
@@ -17,7 +17,10 @@ SPLATS = ("01_panel", "03_progress_60", "04_done", "05_posed", "06_posed_clean",
 MOVED = (("04_done", "05_posed"), ("06_posed_clean", "08_reloaded"))
 """Pairs between which the character has moved."""
 PAINTED = ("k00_posed", "k01_weight_paint", "k02_painted", "k05_back", "k06_edit")
-"""Pictures of strokes.py that must show the figure."""
+PAINT_MOVED = (("k00_posed", "k01_weight_paint"), ("k01_weight_paint", "k02_painted"))
+FREED = ("h00_before", "h03_lasso", "h05_after")
+FREED_MOVED = (("h00_before", "h05_after"),)
+"""Pictures of strokes.py and helmet.py that must show the figure, and pairs between which something has changed."""
 FILLED, COLOURS, MOVED_SHARE = 0.1, 10_000, 0.03
 """Least share of a view that is not background and least number of its colours; least share that a pose changes."""
 
@@ -60,19 +63,22 @@ def judge(out: Path) -> list[Check] | None:
     return checks
 
 
-def judge_strokes(out: Path) -> list[Check] | None:
-    """Print what was checked and measured of strokes.py; None where the session did not come to its end."""
+def judge_weights(out: Path, shown: Sequence[str], differing: Sequence[tuple[str, str]]) -> list[Check] | None:
+    """Print what was checked and measured of strokes.py or helmet.py; None where it did not come to its end.
+
+    shown: pictures that must show the figure; differing: pairs of them that must not be alike.
+    """
     path = out / "result.json"
     if not path.is_file():
         return None
     result = json.loads(path.read_text())
     checks: list[Check] = [*map(tuple, result["checks"])]
     views = result["views"]
-    for name in PAINTED:
+    for name in shown:
         good = name in views
         seen = look(read(out / f"{name}.png", views[name])) if good else None
         checks.append((f"picture {name} shows a figure", good and seen.filled > 0.03 and seen.colours > 500, str(seen)))
-    for before, after in (("k00_posed", "k01_weight_paint"), ("k01_weight_paint", "k02_painted")):
+    for before, after in differing:
         if before in views and after in views:
             share = changed(*(read(out / f"{name}.png", views[before]) for name in (before, after)))
             checks.append((f"{before} and {after} differ", share > 0.001, f"{share:.2%}"))
