@@ -133,7 +133,8 @@ def judge(kind: str, subject: Subject, learned: VoteNetwork, *, skin: bool) -> d
     straight = float(found.placement[:3, 1] @ [0, 1, 0]) > 0.7
     row: dict[str, Any] = {
         "asset": subject.asset.name, "family": subject.asset.family, "error": float(np.mean(list(off.values()))),
-        "doubt": 100 * found.doubt, "front": "right" if straight else "wrong", "joints": off,
+        "doubt": 100 * found.doubt, "unsure": found.unsure, "clear": found.front_sure,
+        "front": "right" if straight else "wrong", "joints": off,
     }  # fmt: skip
     if skin:
         cloud, face, bary = sample_mesh(mesh.verts, mesh.faces, mesh.corner_rgb, SKINNED_SPLATS, rng)
@@ -237,6 +238,9 @@ def tell(rows: list[dict[str, Any]], names: tuple[str, ...]) -> None:
         print(f"\nAuto-Skin of {len(skinned)}: artist's bones {artist.mean():.2f}, fitted {fitted.mean():.2f}, "
               f"ratio of the means {fitted.mean() / artist.mean():.2f}, median {np.median(fitted / artist):.2f}")
     print("\nFront wrong: " + ", ".join(row["asset"] for row in rows if row["front"] == "wrong"))
+    asked = [row for row in rows if row["unsure"]]
+    print(f"Unsure: {len(asked)} of {len(rows)}; where to look is not clear {sum(not row['clear'] for row in rows)}, "
+          f"of these wrong {sum(row['front'] == 'wrong' for row in rows if not row['clear'])}")  # fmt: skip
     doubt = np.array([row["doubt"] for row in rows])
     print(f"\ndoubt against error: correlation {np.corrcoef(doubt, errors)[0, 1]:.2f}; error = "
           f"{np.polyfit(doubt, errors, 1)} @ doubt")  # fmt: skip

@@ -70,7 +70,7 @@ from .scene.viewport import following as viewport_following
 from .scene.viewport import handler as viewport_handler
 from .session import deleted, guidance_settings, live_pictures, properties, render_settings, running_job
 from .ui import job_presets as job_presets_menu
-from .ui import manual, panel, preferences, render_panel, skeleton_panel, splat_panels, translations
+from .ui import manual, panel, preferences, render_panel, select_menu, skeleton_panel, splat_panels, translations
 
 # Each has CLASSES, HANDLERS (list of Blender, function) where it follows what happens, and register() and unregister()
 # where there is more to do.
@@ -135,6 +135,7 @@ MODULES = (
     render_panel,
     skeleton_panel,
     splat_panels,
+    select_menu,
     manual,
     parted,
     handlers,

@@ -15,9 +15,10 @@ import time
 from pathlib import Path
 
 from benchmarks.assets import ASSETS
+from gskin_addon.core.errors import InputError
 
 from .catalog import CATEGORIES, Entry, balanced, candidates, entry_of, is_open
-from .methods import METHODS
+from .methods import METHODS, from_file
 from .perturb import DISTURBANCES
 from .protocol import Protocol
 from .report import ROBUST_METHODS, page, write_section
@@ -43,8 +44,12 @@ def main() -> int:
         splats=arguments.splats, frames=arguments.frames, picture_frames=arguments.picture_frames,
         views=arguments.views, size=arguments.size, unused_bones=arguments.unused_bones,
     )  # fmt: skip
-    methods = arguments.methods.split(",")
-    unknown = [m for m in methods if m not in METHODS and not m.startswith("ours:")]
+    try:
+        given = from_file.register(arguments.method_weights)
+    except InputError as error:
+        return _refuse(str(error))
+    methods = [*arguments.methods.split(","), *given]
+    unknown = [m for m in methods if m not in METHODS and not m.startswith(("ours:", "job:", from_file.PREFIX))]
     if unknown:
         return _refuse(f"There is no method '{unknown[0]}': choose of {', '.join(METHODS)}, ours:<init>+<guidance>.")
     entries = _entries(arguments)
@@ -67,6 +72,8 @@ def _parse() -> argparse.Namespace:
     add = parser.add_argument
     defaults = Protocol()
     add("--methods", default=",".join([*BASELINES, "learned", OURS, *GUIDED]), help="names, separated by commas")
+    add("--method-weights", action="append", default=[], metavar="NAME=FOLDER",
+        help="also the weights that a folder holds, a file for each asset (docs/benchmark-protocol.md); repeatable")
     add("--assets", default="", help="names, separated by commas; default all candidates")
     add("--categories", default="", help=f"of {', '.join(CATEGORIES)}, separated by commas")
     add("--sample", type=int, default=0, help="this many assets, balanced over categories and families")
@@ -110,7 +117,10 @@ def _run(
             wanted = [m for m in wanted if arguments.sample or number < SLOW.get(m, len(entries))]
             if not arguments.force:
                 known = {m: store.get((entry.name, m, skeleton, protocol.key)) for m in wanted}
-                wanted = [m for m, r in known.items() if r is None or (arguments.lpips and r.score["lpips"] is None)]
+                wanted = [
+                    m for m, r in known.items()
+                    if r is None or from_file.is_stale(r) or (arguments.lpips and r.score["lpips"] is None)
+                ]  # fmt: skip
             if wanted:
                 tasks.append(Task(entry.name, skeleton, order_methods(wanted)))
     total, done, started = sum(len(t.methods) for t in tasks), 0, time.monotonic()

@@ -116,6 +116,8 @@ def method_list(summary: Summary) -> str:
     for method in summary.methods():
         if method in DESCRIPTIONS:
             text = DESCRIPTIONS[method]
+        elif method.startswith("file:"):
+            text = f"weights that were given as files for `{method.removeprefix('file:')}`"
         else:
             text = f"the whole job, `init+guidance` = `{method.removeprefix('ours:')}`"
             text = "the whole job as a new user has it" if method == OURS else text

@@ -86,11 +86,10 @@ def fit_kind(kind: str, cloud: SplatCloud, options: argparse.Namespace) -> Fit:
         alike={"alike": True, "apart": False}.get(options.sides),
         landmarks=landmarks,
     )
-    if found.unsure:
-        print_message(
-            f"Warning: the fit is unsure (joints off by perhaps {100 * found.doubt:.0f} % of the diagonal); look at "
-            "it, and name ends of the body with --landmark."
-        )
+    if not found.front_sure:
+        print_message("Warning: it is not clear to where the body looks; look at the fit, or say it with --looks-to.")
+    elif found.unsure:
+        print_message("Warning: the fit is unsure; look at it, and name ends of the body with --landmark.")
     return found
 
 

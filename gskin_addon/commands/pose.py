@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -98,7 +99,7 @@ def parse_turns(given: list[list[str]]) -> dict[str, tuple[float, float, float]]
     turns: dict[str, tuple[float, float, float]] = {}
     for bone, *numbers in given:
         try:
-            x, y, z = (float(number) for number in numbers)
+            x, y, z = (finite(number) for number in numbers)
         except ValueError:
             raise InputError(
                 f"--rotate {bone} {' '.join(numbers)}: the angles must be three numbers in degrees."
@@ -107,12 +108,20 @@ def parse_turns(given: list[list[str]]) -> dict[str, tuple[float, float, float]]
     return turns
 
 
+def finite(text: str) -> float:
+    """A number that is neither infinite nor NaN. Raises ValueError."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text} is not finite")
+    return value
+
+
 def parse_settings(given: list[list[str]]) -> list[tuple[str, str, float]]:
     """Bone, property and value, from --set BONE PROPERTY VALUE. InputError for what is no number."""
     settings = []
     for bone, prop, text in given:
         try:
-            settings.append((bone, prop, float(text)))
+            settings.append((bone, prop, finite(text)))
         except ValueError:
             raise InputError(f"--set {bone} {prop} {text}: the value must be a number.") from None
     return settings

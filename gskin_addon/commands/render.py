@@ -47,7 +47,10 @@ def run(options: argparse.Namespace) -> None:
         with posed(options) as obj:
             if options.engine == "cycles":
                 from ..scene.cycles import render_view
+                from ..scene.deform_stack import shown_wrongly
 
+                for sentence in shown_wrongly(obj):
+                    print_message(f"Warning: {sentence}")
                 azimuth = options.view.replace("-", "_")
                 render_view(obj, options.out, azimuth, options.size, options.background, front=FRONTS[options.front])
             else:

@@ -51,8 +51,8 @@ def run(options: argparse.Namespace) -> None:
     of_guidance = guidance_options(options)
     if options.weights is not None:
         check_output(options.weights, "--weights", (".npz",))
-    for given in (options.armature, options.splats, *([options.mesh] if options.mesh else [])):
-        if same_file(given, options.out):
+    for given in (options.armature, options.splats, options.mesh):
+        if given is not None and same_file(given, options.out):
             raise InputError(f"--out '{options.out}' would overwrite its own input; choose another name.")
     cloud = read_splats(options.splats, options.drop_invalid, options.walls)
     cloud = clean(cloud, options.drop_strays, options.max_aspect, options.isotropic)

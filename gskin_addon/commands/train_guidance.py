@@ -81,7 +81,10 @@ def _pairs(options: argparse.Namespace, reporter: Reporter) -> None:
 
 
 def _tune(options: argparse.Namespace, reporter: Reporter) -> None:
-    from ..core.training.guidance.finetune import tune
+    if options.model == "flux2":
+        from ..core.training.guidance.flux2_tune import tune
+    else:
+        from ..core.training.guidance.finetune import tune
 
     settings = parse_options(options.option, "--option")
     sentence = tune(options.pairs, options.out, settings, reporter, allow_download=options.allow_download)

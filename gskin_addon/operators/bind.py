@@ -11,7 +11,7 @@ from bpy_extras.io_utils import ImportHelper
 
 from ..core.job.skinned_files import read_weights
 from ..scene.armature import deform_bone_names
-from ..scene.binding import bind, check_splats
+from ..scene.binding import bind, check_splats, iter_prepare
 from ..scene.fabric import iter_fabric, lay_under, strongest_of
 from ..scene.influences import splats_without_bones
 from ..scene.object_ref import ObjectRef
@@ -105,6 +105,8 @@ class GSKIN_OT_bind_to_armature(Sliced, bpy.types.Operator):
             bone = strongest_of(weights, bones, armature)
             fabric = yield from part_of(iter_fabric(splats, bone, armature), 0.4, 0.9)
             splats = ref.find()
+        yield from part_of(iter_prepare(armature), 0.9, 1.0)
+        splats = ref.find()
         shared = said_of(splats, own_mesh(splats))
         bind(splats, armature)
         update_rotation_weights(splats)

@@ -84,7 +84,11 @@ class _Fit:
         if settings.armature is not None:
             settings.armature = armature
         kind = "metarig" if rigify_is_on() else "armature"
-        if found.unsure:
+        if not found.front_sure:
+            self.report(
+                {"WARNING"}, f"'{armature.name}' may look the wrong way; set Looks to if left and right are swapped"
+            )
+        elif found.unsure:
             self.report(
                 {"WARNING"},
                 f"'{armature.name}' may be off: check it from the front and the side, mark hands, feet and head, and "

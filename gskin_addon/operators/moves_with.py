@@ -102,7 +102,8 @@ class GSKIN_OT_show_moves_with(bpy.types.Operator):
                 at = event.mouse_x - region.x, event.mouse_y - region.y
                 inside = 0 <= at[0] < region.width and 0 <= at[1] < region.height
                 if area.type == "VIEW_3D" and region.type == "WINDOW" and inside:
-                    camera = area.spaces.active.region_3d
+                    space: Any = area.spaces.active
+                    camera = space.region_3d
                     origin = view3d_utils.region_2d_to_origin_3d(region, camera, at)
                     size = region.width, region.height
                     return clicked_splat(chosen_splats(context), camera.perspective_matrix, origin, at, size)

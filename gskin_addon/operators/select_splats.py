@@ -126,8 +126,8 @@ class _AlongBody(SelectSplats):
     def draw(self, context: bpy.types.Context) -> None:
         layout: bpy.types.UILayout = self.layout  # type: ignore[attr-defined]
         layout.use_property_split = True
-        layout.prop(self, "unit", expand=True)  # type: ignore[arg-type]
-        layout.prop(self, "length" if self.unit == "LENGTH" else "steps")  # type: ignore[arg-type]
+        layout.prop(self, "unit", expand=True)
+        layout.prop(self, "length" if self.unit == "LENGTH" else "steps")
 
 
 class GSKIN_OT_grow_splat_selection(_AlongBody, bpy.types.Operator):
@@ -184,8 +184,8 @@ class GSKIN_OT_select_in_front(SelectSplats, bpy.types.Operator):
             if camera is None:
                 raise InputError("No 3D view is open from which splats could be seen; open one.")
             # The last operation is done again from the view that it was clicked in.
-            self.view = [value for row in camera.view_matrix for value in row]
-            self.lens = [value for row in camera.window_matrix for value in row]
+            self.view = np.array(camera.view_matrix).ravel()
+            self.lens = np.array(camera.window_matrix).ravel()
         size = max(self.depth, 0.5) * spacing(body_of(splats))
         view, lens = np.array(self.view).reshape(4, 4), np.array(self.lens).reshape(4, 4)
         return in_front(posed_points(splats), view, lens, size)

@@ -15,6 +15,7 @@ from ..scene.overlay import show_stretch
 from ..scene.selecting import mark_selected
 from ..scene.trial import Player, Trial
 from ..session.chosen import chosen_splats
+from .confidence import least
 
 TICK = 1 / 30
 """Seconds between two poses, where the machine can."""
@@ -34,6 +35,15 @@ class GSKIN_OT_try_it(bpy.types.Operator):
         default=2.0,
         min=1.0,
         soft_max=5.0,
+    )
+    most: bpy.props.FloatProperty(
+        name="At Most",
+        description="No more than this part of the splats is marked: those that stretch most",
+        default=2.0,
+        min=0.0,
+        max=100.0,
+        precision=1,
+        subtype="PERCENTAGE",
     )
     seconds: bpy.props.FloatProperty(
         name="Seconds", description="How long it plays", default=10.0, min=1.0, soft_max=60.0, options={"SKIP_SAVE"}
@@ -131,10 +141,13 @@ class GSKIN_OT_try_it(bpy.types.Operator):
         trial: Any = self._trial
         splats = chosen_splats(context)
         show_stretch(splats, trial.stretch)
-        marked = trial.stretch > self.beyond
+        far = trial.stretch > self.beyond
+        marked = far & least(-trial.stretch, self.most / 100)
         mark_selected(splats, marked)
-        words = f"{marked.sum():,} of {len(marked):,} splats stretch to more than {self.beyond:.1f} times"
-        bones = ", ".join(f"'{name}'" for name in trial.worst_bones(self.beyond))
+        words = f"{far.sum():,} of {len(far):,} splats stretch to more than {self.beyond:.1f} times"
+        if far.sum() > marked.sum():
+            words += f", the {marked.sum():,} worst to more than {float(trial.stretch[marked].min(initial=9e9)):.1f}"
+        bones = ", ".join(f"'{name}'" for name in trial.worst_bones(marked))
         often = f"; most where {bones} turn" if bones else ""
         self.report({"INFO"}, f"{words}{often}; Tab shows them selected" if marked.any() else words)
         _last.clear()

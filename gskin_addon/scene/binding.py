@@ -9,10 +9,11 @@ import bpy
 
 from ..core.errors import InputError
 from . import names
-from .bone_frames import armature_modifier, ensure_bone_frames
+from .bone_frames import armature_modifier, ensure_bone_frames, has_bendy_bones
 from .node_groups import find_display
-from .rotation_nodes import add_rotation
+from .rotation_nodes import add_rotation, rotation_steps
 from .splat_object import is_splat_object, refuse_edit_mode
+from .steps import Steps
 from .transforms import world_similarity
 
 
@@ -25,6 +26,11 @@ def bind(obj: bpy.types.Object, armature: bpy.types.Object) -> bpy.types.Object:
     frames = ensure_bone_frames(armature)
     add_rotation(obj, frames, follow(obj, armature))
     return frames
+
+
+def iter_prepare(armature: bpy.types.Object) -> Steps[bpy.types.NodeTree]:
+    """Make in slices the nodes that `bind` gives splats, so that it need not make all of them at once."""
+    return rotation_steps(bendy=has_bendy_bones(armature))
 
 
 def check_splats(obj: bpy.types.Object) -> None:

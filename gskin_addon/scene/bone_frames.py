@@ -80,6 +80,11 @@ def has_joints(frames: bpy.types.Object) -> bool:
     return len(frames.data.vertices) > 4 * len(frames.vertex_groups)
 
 
+def has_bendy_bones(armature: bpy.types.Object) -> bool:
+    """Whether a helper for the armature has such joints."""
+    return any(bone.bbone_segments > 1 for bone in deform_bones(armature))
+
+
 def bone_order(frames: bpy.types.Object) -> list[str]:
     """Bone names by index. They are the helper's vertex groups, which Blender renames along with the bones."""
     return [group.name for group in frames.vertex_groups]

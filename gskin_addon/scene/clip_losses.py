@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 
 from .actions import bones_of, own_parts
+from .dependencies import is_animated, needed_objects
 
 _STILL = 1e-5
 """How much an entry of a bone's own matrix is away from rest at least when it was posed."""
@@ -33,6 +34,20 @@ def lost_in_clips(armature: bpy.types.Object, *, posed: bool = False) -> list[st
             "and at rest in the clips of the file; key what shall stay."
         )
     return found
+
+
+def moved_without_joints(obj: bpy.types.Object, armature: bpy.types.Object) -> list[str]:
+    """A sentence where splats are animated as an object, besides what their armature does."""
+    others: Any = {*needed_objects(armature)}
+    above: Any = obj
+    while above is not None and above not in others:
+        if is_animated([above]) or len(above.constraints):
+            return [
+                f"glTF moves skinned splats by their joints alone: that '{above.name}' is animated or constrained as "
+                f"an object is not in the clips; move '{armature.name}' instead."
+            ]
+        above = above.parent
+    return []
 
 
 def said_of_nla(armature: bpy.types.Object) -> list[str]:

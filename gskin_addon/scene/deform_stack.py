@@ -31,6 +31,8 @@ STEP = 1e-3
 NO_BENDS = "glTF has no bendy bones"
 """How the sentence about them begins."""
 
+_COPY_OF = "gskin_copy_of"
+
 _OURS = (names.ROTATION_MODIFIER, names.DISPLAY_MODIFIER, names.ANCHOR_MODIFIER)
 
 
@@ -102,8 +104,8 @@ def shown_wrongly(obj: bpy.types.Object) -> list[str]:
     reasons = not_in_the_viewport(obj)
     if reasons:
         found.append(
-            f"Blender's 3D view turns the splats of '{obj.name}' by vertex groups alone, but {'; '.join(reasons)}. "
-            "Right are Render Splats, gskin render and the splats that gskin pose writes."
+            f"Blender turns the splats of '{obj.name}' by vertex groups alone, in the 3D view and in Cycles, but "
+            f"{'; '.join(reasons)}. Right are Render Splats, gskin render and the splats that gskin pose writes."
         )
     return found
 
@@ -186,6 +188,7 @@ def _deformed_copy(obj: bpy.types.Object) -> Iterator[Any]:
     copy: Any = obj.copy()
     data: ObjectData = obj.data
     copy.data = mesh = data.copy()
+    copy[_COPY_OF] = obj.name
     kept = {modifier.name for modifier in deforming_modifiers(obj)}
     try:
         # Handlers take it for no splats.
@@ -223,7 +226,7 @@ def _evaluated(copy: Any, points: Array) -> Array:
     found = read_positions(copy.evaluated_get(bpy.context.evaluated_depsgraph_get()).data)
     if len(found) != len(points):
         raise InputError(
-            f"'{copy.name}' has {len(points)} splats, and its modifiers make {len(found)} points of them; "
+            f"'{copy[_COPY_OF]}' has {len(points)} splats, and its modifiers make {len(found)} points of them; "
             "remove the modifier that does."
         )
     return found.astype(np.float64)

@@ -58,12 +58,25 @@ def create_fitted_rig(fit: Fit, name: str) -> bpy.types.Object:
     for bone in armature.data.bones:
         if bone.name not in fitted:
             bone.use_deform = False
-    armature.matrix_world = mathutils.Matrix(fit.placement.tolist())
+    armature.matrix_basis = mathutils.Matrix(fit.placement.tolist())
+    if rigify_is_on():
+        _prepare_controls(armature)
     armature.data.use_mirror_x = fit.alike
     armature.pose.use_mirror_x = fit.alike
     armature.show_in_front = True
     bpy.context.view_layer.update()
     return armature
+
+
+def _prepare_controls(metarig: bpy.types.Object) -> None:
+    """Where Rigify will put the controls: it makes a new rig at the world's origin, not where its metarig stands, but
+    leaves one that is there already in its place. It adds it to the scene itself."""
+    name = f"RIG-{metarig.name}"
+    target = bpy.data.objects.new(name, bpy.data.armatures.new(name))
+    target.display_type = "WIRE"
+    target.matrix_basis = metarig.matrix_basis
+    data: Any = metarig.data
+    data.rigify_target_rig = target
 
 
 def create_armature(skeleton: Skeleton, name: str) -> bpy.types.Object:

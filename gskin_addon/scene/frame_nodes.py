@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
+
+import bpy
 
 from ..core.rig.stretch import RIGID
 from . import names
@@ -12,6 +15,12 @@ from .node_builder import Input, Tree, function_group
 
 VERSION = 2
 """Of the node groups."""
+_INFO = {"Geometry": "Geometry", "Rotation": "Rotation", "Transform": "Matrix"}
+_UNEVENNESS = {
+    **dict.fromkeys("XYZ", "Vector"), "Kind": "Float", "Mirrored": "Float",
+    **dict.fromkeys(("X Ahead", "Z Ahead", "Way"), "Vector"),
+}  # fmt: skip
+"""Kinds of inputs by label."""
 
 
 
@@ -24,9 +33,20 @@ def bone_points(tree: Tree, info: Any) -> Any:
     from a rotation and from one times a scale (`core.rig.stretch.unevenness`), of a joint how far the segment is from
     moving as one, too; and the map's `core.rig.stretch.size`. FRAME_BEND as on the frames.
     """
-    kinds = {"Geometry": "Geometry", "Rotation": "Rotation", "Transform": "Matrix"}
-    group = function_group("GSkin Bones", VERSION, kinds, {"Points": "Geometry"}, _bone_points)
-    return tree.call(group, {label: tree.output(info, label) for label in kinds})["Points"]
+    return tree.call(_bones_group(), {label: tree.output(info, label) for label in _INFO})["Points"]
+
+
+def frame_parts() -> tuple[Callable[[], object], ...]:
+    """What builds the groups of `bone_points`, each after those that it uses itself."""
+    return _unevenness_group, _bones_group
+
+
+def _bones_group() -> bpy.types.NodeTree:
+    return function_group("GSkin Bones", VERSION, _INFO, {"Points": "Geometry"}, _bone_points)
+
+
+def _unevenness_group() -> bpy.types.NodeTree:
+    return function_group("GSkin Unevenness", VERSION, _UNEVENNESS, {"Stretch": "Vector"}, _unevenness)
 
 
 def _bone_points(tree: Tree, given: Input) -> dict[str, Any]:
@@ -75,9 +95,7 @@ def _bone_points(tree: Tree, given: Input) -> dict[str, Any]:
     inputs |= {f"{name} Ahead": tree.scale(axis, per_unit) for name, axis in zip("XZ", ahead, strict=True)}
     way = tree.vector("SUBTRACT", following[0], origin)
     inputs["Way"] = tree.scale(way, tree.math("DIVIDE", per_unit, span))
-    kinds = {label: "Float" if label in {"Kind", "Mirrored"} else "Vector" for label in inputs}
-    group = function_group("GSkin Unevenness", VERSION, kinds, {"Stretch": "Vector"}, _unevenness)
-    stretch = tree.call(group, inputs)["Stretch"]
+    stretch = tree.call(_unevenness_group(), inputs)["Stretch"]
     rigid = tree.math("SUBTRACT", 1.0, joint)
     # Joints have no y of their own, and plain bones keep what they always had.
     stretched = tree.math("GREATER_THAN", parts(tree, stretch)[0], RIGID)

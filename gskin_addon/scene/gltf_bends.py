@@ -8,15 +8,20 @@ modifier blends them. All of it happens on copies of armature and mesh, which go
 Blender bends a stretched bone as if it were not, and stretches each segment along its own axes. So between the bone
 and those children is one that takes the bone's scale away: what is left for each node is a rotation and a scale of its
 axes, as glTF has it.
+
+Where bones are sheared in the space of their parents (`gltf_shear.py`), as many of Rigify's are, splats follow free
+stand-ins without a parent, and joints of bendy bones have none.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import dataclasses
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import bpy
+import mathutils
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,32 +42,50 @@ def can_be_joints(armature: bpy.types.Object) -> bool:
     return armature.library is None and armature.override_library is None
 
 
+@dataclasses.dataclass
+class Made:
+    """What stands in for bones while an export runs.
+
+    most: the largest number of bones of a splat, 0 where nothing stands in. bones: name of each added bone that splats
+    follow, and of the bone it stands in for.
+    """
+
+    most: int = 0
+    bones: dict[str, str] = dataclasses.field(default_factory=dict)
+
+
 @contextmanager
-def bends_as_joints(objects: Sequence[bpy.types.Object]) -> Iterator[int]:
+def bends_as_joints(
+    objects: Sequence[bpy.types.Object], free: Mapping[str, Collection[str]] | None = None
+) -> Iterator[Made]:
     """Inside the block the bendy bones that move these splats are chains of bones, and the splats follow those.
 
-    Gives the largest number of bones of a splat, 0 where there is nothing to do. The armatures must be in the view
-    layer, evaluated and selectable.
+    free: for names of armatures the bones for which something without a parent shall stand in. The armatures must be
+    in the view layer, evaluated and selectable.
     """
-    most = 0
-    splats = [obj for obj in objects if is_splat_object(obj) and bendy_bones(obj)]
+    free, made = free or {}, Made()
+    splats = [obj for obj in objects if is_splat_object(obj)]
     rigs = [rig for rig in dict.fromkeys(armature_of(obj) for obj in splats) if rig is not None and can_be_joints(rig)]
-    if not rigs:
-        yield most
-        return
-    with paused(), ExitStack() as stack:
+    with ExitStack() as stack:
         for rig in rigs:
             followers = [obj for obj in splats if armature_of(obj) == rig]
-            bends = _wanted(rig, followers)
-            split = [(obj, *split_weights(obj, bends)) for obj in followers]
-            plain = [bone for bone in deform_bone_names(rig) if bone not in bends]
-            names = stack.enter_context(_with_joints(rig, bends))
+            bends, alone = _wanted(rig, followers), set(free.get(rig.name, ()))
+            if not bends and not alone:
+                continue
+            stack.enter_context(paused())
+            order = deform_bone_names(rig)
+            plain = [bone for bone in order if bone in alone and bone not in bends]
+            others = [bone for bone in order if bone not in bends and bone not in alone]
+            split = [(obj, *split_weights(obj, bends, plain)) for obj in followers]
+            names = stack.enter_context(_with_joints(rig, bends, plain, alone))
+            made.bones |= {name: bone for (bone, _), name in names.items()}
             for obj, weights, parts in split:
-                others, _ = read_weights(obj, plain)
-                most = max(most, int(((weights > 0).sum(axis=1) + (others > 0).sum(axis=1)).max(initial=0)))
-                stack.enter_context(_following(obj, list(bends), weights, [names[part] for part in parts]))
+                counts = (weights > 0).sum(axis=1) + (read_weights(obj, others)[0] > 0).sum(axis=1)
+                made.most = max(made.most, int(counts.max(initial=0)))
+                joints = [names[part] for part in parts]
+                stack.enter_context(_following(obj, [*bends, *plain], weights, joints))
         bpy.context.view_layer.update()
-        yield most
+        yield made
 
 
 @contextmanager
@@ -85,20 +108,24 @@ def idle_groups(obj: bpy.types.Object) -> list[str]:
 
 
 def split_weights(
-    obj: bpy.types.Object, bends: Mapping[str, BendyBone]
+    obj: bpy.types.Object, bends: Mapping[str, BendyBone], plain: Sequence[str] = ()
 ) -> tuple[Array, list[tuple[str, int]]]:
-    """Weights (N, K) of the joints of the bones `bends`, and which these are: name of the bone, number of the joint."""
+    """Weights (N, K) of the joints of the bones `bends`, and which these are: name of the bone, number of the joint.
+
+    The bones `plain` follow, as their own only joint.
+    """
     points = read_cloud(obj).means.astype(np.float64)
-    given, _ = read_weights(obj, list(bends))
+    given, _ = read_weights(obj, [*bends, *plain])
     columns: list[Array] = []
     parts: list[tuple[str, int]] = []
-    for weight, (name, bend) in zip(given.T, bends.items(), strict=True):
+    for weight, (name, bend) in zip(given.T, bends.items(), strict=False):
         first, share, _ = bend.place(points)
         for joint in range(bend.segments + 1):
             held = np.where(first == joint, 1 - share, np.where(first + 1 == joint, share, 0.0))
             columns.append((weight * held).astype(np.float32))
             parts.append((name, joint))
-    return np.stack(columns, axis=1), parts
+    columns += [*given.T[len(bends) :]]
+    return np.stack(columns, axis=1), parts + [(name, 0) for name in plain]
 
 
 def _wanted(rig: bpy.types.Object, followers: Sequence[bpy.types.Object]) -> dict[str, BendyBone]:
@@ -108,26 +135,30 @@ def _wanted(rig: bpy.types.Object, followers: Sequence[bpy.types.Object]) -> dic
 
 
 @contextmanager
-def _with_joints(rig: bpy.types.Object, bends: Mapping[str, BendyBone]) -> Iterator[dict[tuple[str, int], str]]:
-    """The rig has bones for the joints of its bendy bones; gives their names."""
+def _with_joints(
+    rig: bpy.types.Object, bends: Mapping[str, BendyBone], plain: Sequence[str], free: Collection[str]
+) -> Iterator[dict[tuple[str, int], str]]:
+    """The rig has bones for the joints of its bendy bones, and for the bones `plain`; gives their names."""
     data: Any = rig.data
     copy = data.copy()
     name = data.name
     evaluated: Any = rig.evaluated_get(bpy.context.evaluated_depsgraph_get())
-    rest = {
+    rest: dict[str, list[Any]] = {
         bone: [evaluated.pose.bones[bone].bbone_segment_matrix(k, rest=True) for k in range(bend.segments + 1)]
         for bone, bend in bends.items()
     }
-    data.name, copy.name = f"{name} (GSkin Export)", name
+    rest |= {bone: [mathutils.Matrix()] for bone in plain}
     rig.data = copy
+    _take_name(copy, data, name)
     try:
-        names = _add_bones(rig, rest)
+        names = _add_bones(rig, rest, free)
         for (bone, joint), added in names.items():
             copied: Any = rig.pose.bones[added].constraints.new("COPY_TRANSFORMS")
             copied.target, copied.subtarget = rig, bone
-            copied.head_tail, copied.use_bbone_shape = joint / bends[bone].segments, True
+            if bone in bends:
+                copied.head_tail, copied.use_bbone_shape = joint / bends[bone].segments, True
             unscaled: Any = rig.pose.bones[added].parent
-            if not unscaled.constraints:
+            if unscaled is not None and not unscaled.constraints:
                 taken: Any = unscaled.constraints.new("COPY_SCALE")
                 taken.target, taken.subtarget, taken.power = rig, bone, -1
                 taken.target_space, taken.owner_space = "POSE", "LOCAL"
@@ -135,11 +166,16 @@ def _with_joints(rig: bpy.types.Object, bends: Mapping[str, BendyBone]) -> Itera
     finally:
         rig.data = data
         bpy.data.armatures.remove(copy)
-        data.name = name
+        _give_back(data, name)
 
 
-def _add_bones(rig: bpy.types.Object, rest: Mapping[str, list[Any]]) -> dict[tuple[str, int], str]:
-    """Add a bone for the scale to take away, and below it the joints, for every bone of `rest`; the joints' names."""
+def _add_bones(
+    rig: bpy.types.Object, rest: Mapping[str, list[Any]], free: Collection[str]
+) -> dict[tuple[str, int], str]:
+    """Add a bone for the scale to take away, and below it the joints, for every bone of `rest`; the joints' names.
+
+    Those of the bones `free` have no parent.
+    """
     layer = bpy.context.view_layer
     layer.objects.active = rig
     if rig.mode != "OBJECT":
@@ -149,10 +185,10 @@ def _add_bones(rig: bpy.types.Object, rest: Mapping[str, list[Any]]) -> dict[tup
     try:
         for name, steps in rest.items():
             bone = rig.data.edit_bones[name]
-            unscaled = _child(rig, f"{name}.bend", bone, bone.matrix, bone.length)
+            length = bone.length / max(1, len(steps) - 1)
+            parent = None if name in free else _child(rig, f"{name}.bend", bone, bone.matrix, bone.length)
             for joint, step in enumerate(steps):
-                length = bone.length / (len(steps) - 1)
-                made[name, joint] = _child(rig, f"{name}.bend{joint}", unscaled, bone.matrix @ step, length)
+                made[name, joint] = _child(rig, f"{name}.bend{joint}", parent, bone.matrix @ step, length)
         # Blender may have changed a name that was too long or taken; bones of Edit Mode do not outlive it.
         names = {key: bone.name for key, bone in made.items()}
     finally:
@@ -178,8 +214,8 @@ def _following(
     data: Any = obj.data
     mesh = data.copy()
     name = data.name
-    data.name, mesh.name = f"{name} (GSkin Export)", name
     obj.data = mesh
+    _take_name(mesh, data, name)
     try:
         for group in [group for group in obj.vertex_groups if group.name in bones]:
             obj.vertex_groups.remove(group)
@@ -188,4 +224,16 @@ def _following(
     finally:
         obj.data = data
         bpy.data.meshes.remove(mesh)
+        _give_back(data, name)
+
+
+def _take_name(copy: Any, data: Any, name: str) -> None:
+    """Let the copy go into the file under the name of what it stands for; a linked one keeps its own beside it."""
+    if data.library is None:
+        data.name = f"{name} (GSkin Export)"
+    copy.name = name
+
+
+def _give_back(data: Any, name: str) -> None:
+    if data.library is None:
         data.name = name

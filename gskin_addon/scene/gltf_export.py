@@ -25,20 +25,17 @@ from ..core.splats.axes import rotate_cloud
 from ..core.splats.cloud import SplatCloud
 from .actions import left_to_guess, own_parts
 from .bone_frames import armature_of
-from .clip_losses import listed, lost_in_clips, said_of_nla
+from .clip_losses import listed, lost_in_clips, moved_without_joints, said_of_nla
 from .deform_stack import NO_BENDS, lost_in_gltf
-from .fabric import bring_fabrics_back, lay_fabrics_aside
 from .frames import frame_of, go_to
 from .gltf_bends import bends_as_joints, can_be_joints, idle_groups, idle_groups_aside
 from .gltf_clips import clips_of, keep_own, play_companions, rest_before_clips
-from .gltf_shear import said_of_shear, shear_watched
+from .gltf_shear import said_of_shear, shear_watched, sheared_carriers
+from .nodes_aside import hide_nodes, nodes_hidden, show_nodes
 from .splat_object import is_splat_object, read_cloud
 from .visibility import shown
 
 _EXPORTER = "io_scene_gltf2"
-_hidden: list[tuple[str, str]] = []
-"""Names of object and modifier that are switched off while an export runs."""
-
 
 class SplatExport:
     """Hooks of Blender's glTF exporter; one instance per export.
@@ -163,6 +160,7 @@ def export_glb(
         raise InputError(f"'{path}': there are no splats among the objects to export; choose a splat object.")
     armatures = list(dict.fromkeys(a for obj in objects if (a := armature_of(obj)) is not None))
     frame = frame_of(bpy.context.scene)
+    free: dict[str, list[str]] = {}
     try:
         with (
             replaced(path, ".glb") as temporary,
@@ -171,32 +169,21 @@ def export_glb(
             _discoverable(),
             _by_ourselves(path),
             nodes_hidden(),
-            clips_of(armatures, posed=posed, animations=animations) as options,
             idle_groups_aside(objects),
-            bends_as_joints(objects) as most,
-            shear_watched(armatures) as sheared,
         ):
-            _failures.clear()
-            bpy.ops.export_scene.gltf(
-                filepath=str(temporary),
-                check_existing=False,
-                export_format="GLB",
-                use_selection=True,
-                export_apply=False,
-                export_yup=True,
-                use_mesh_vertices=True,
-                export_skins=True,
-                export_all_influences=False,
-                export_influence_nb=max(4, most + -most % 4),  # whole sets: it counts the last one's empty places
-                export_def_bones=deform_bones_only,
-                export_morph=False,
-                export_animations=animations,
-                export_anim_slide_to_zero=True,
-                export_materials="EXPORT",
-                **options,
-            )
-            if _failures:
-                raise _failures[0]
+            while True:
+                with (
+                    clips_of(armatures, posed=posed, animations=animations) as options,
+                    bends_as_joints(objects, free) as made,
+                    shear_watched(armatures) as sheared,
+                ):
+                    _export(temporary, deform_bones_only, animations, made.most, options)
+                wrong = sheared_carriers(objects, sheared, made.bones, free)
+                changeable = {rig.name for rig in armatures if can_be_joints(rig)}
+                if free or not changeable.intersection(wrong):
+                    break
+                # What is sheared somewhere is known once all frames were sampled: once more, with stand-ins for that.
+                free = {name: bones for name, bones in wrong.items() if name in changeable}
     except RuntimeError as error:
         if _failures:
             raise _failures[0] from error
@@ -208,15 +195,43 @@ def export_glb(
     clipped = [armature for armature in armatures if animations]
     doubts = [sentence for armature in clipped for sentence in left_to_guess(armature)]
     doubts += [s for armature in clipped if own_parts(armature) for s in lost_in_clips(armature, posed=posed)]
-    doubts += said_of_shear(sheared)
-    if most > 4:
+    doubts += said_of_shear(wrong)
+    if made.most > 4:
         doubts.append(
-            f"Segments of bendy bones are joints in '{path.name}', up to {most} for a splat (JOINTS_1); viewers that "
-            "read four show such splats a little off."
+            f"Segments of bendy bones are joints in '{path.name}', up to {made.most} for a splat (JOINTS_1); viewers "
+            "that read four show such splats a little off."
         )
     splats = [obj for obj in objects if is_splat_object(obj)]
     lost = [(obj, armature_of(obj)) for obj in splats]
+    doubts += [s for obj, rig in lost if animations and rig is not None for s in moved_without_joints(obj, rig)]
     return doubts + [s for obj, rig in lost for s in lost_in_gltf(obj, segments=rig is None or can_be_joints(rig))]
+
+
+def _export(
+    path: Path, deform_bones_only: bool, animations: bool, most: int, options: dict[str, Any]
+) -> None:
+    """Run Blender's exporter; most: how many joints a splat may have."""
+    _failures.clear()
+    bpy.ops.export_scene.gltf(
+        filepath=str(path),
+        check_existing=False,
+        export_format="GLB",
+        use_selection=True,
+        export_apply=False,
+        export_yup=True,
+        use_mesh_vertices=True,
+        export_skins=True,
+        export_all_influences=False,
+        export_influence_nb=max(4, most + -most % 4),  # whole sets: it counts the last one's empty places
+        export_def_bones=deform_bones_only,
+        export_morph=False,
+        export_animations=animations,
+        export_anim_slide_to_zero=True,
+        export_materials="EXPORT",
+        **options,
+    )
+    if _failures:
+        raise _failures[0]
 
 
 def _seen(objects: Sequence[bpy.types.Object]) -> Sequence[bpy.types.Object]:
@@ -237,40 +252,6 @@ def _last_error(error: RuntimeError) -> str:
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     named = [line for line in lines if "Error: " in line and not line.startswith("Error: Python")]
     return named[-1] if named else lines[-1] if lines else "no reason given"
-
-
-def hide_nodes() -> None:
-    """Switch off the Geometry Nodes modifiers of all splat objects and lay their fabrics aside, until `show_nodes`."""
-    lay_fabrics_aside()
-    for obj in bpy.data.objects:
-        if is_splat_object(obj):
-            for modifier in obj.modifiers:
-                if modifier.type == "NODES" and modifier.show_viewport:
-                    modifier.show_viewport = False
-                    _hidden.append((obj.name, modifier.name))
-
-
-def show_nodes() -> None:
-    """Switch on what `hide_nodes` switched off, and bring the fabrics back."""
-    bring_fabrics_back()
-    if not _hidden:
-        return
-    present = {obj.name: obj for obj in bpy.data.objects if is_splat_object(obj)}
-    while _hidden:
-        object_name, modifier_name = _hidden.pop()
-        obj = present.get(object_name)
-        if obj is not None and modifier_name in obj.modifiers:
-            obj.modifiers[modifier_name].show_viewport = True
-
-
-@contextmanager
-def nodes_hidden() -> Iterator[None]:
-    """The splats' node groups are switched off inside the block, whatever happens."""
-    hide_nodes()
-    try:
-        yield
-    finally:
-        show_nodes()
 
 
 @contextmanager

@@ -7,7 +7,7 @@ space of a parent that is stretched along one axis; its node then stands otherwi
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -15,6 +15,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from .bone_frames import armature_of
 from .clip_losses import listed
 
 Array = NDArray[Any]
@@ -67,12 +68,35 @@ def shear_watched(armatures: Sequence[bpy.types.Object]) -> Iterator[dict[str, l
         bpy.app.handlers.frame_change_post.remove(look)
 
 
-def said_of_shear(found: dict[str, list[str]]) -> list[str]:
-    """Sentences about what `shear_watched` found."""
+def sheared_carriers(
+    objects: Sequence[bpy.types.Object],
+    found: Mapping[str, Sequence[str]],
+    stand_ins: Mapping[str, str],
+    free: Mapping[str, Collection[str]],
+) -> dict[str, list[str]]:
+    """Of the bones that `shear_watched` found, by armature, those that splats among `objects` follow.
+
+    stand_ins: of each bone that was added, the bone that it stands for. free: bones that splats do not follow
+    themselves any more, by armature.
+    """
+    wrong: dict[str, list[str]] = {}
+    for name, bones in found.items():
+        followers = [obj for obj in objects if (rig := armature_of(obj)) is not None and rig.name == name]
+        carrying = {group.name for obj in followers for group in obj.vertex_groups}
+        alone = set(free.get(name, ()))
+        names = [stand_ins.get(bone, bone) for bone in bones if bone in stand_ins or bone not in alone]
+        names = [bone for bone in dict.fromkeys(names) if bone in carrying]
+        if names:
+            wrong[name] = names
+    return wrong
+
+
+def said_of_shear(found: Mapping[str, Sequence[str]]) -> list[str]:
+    """Sentences about sheared bones, by armature."""
     return [
-        f"glTF nodes cannot be sheared: {listed(bones)} of '{name}' {'does' if len(bones) == 1 else 'do'} not stand in "
-        "the file as in Blender, in some frame at least, because a parent is stretched along one axis and they do not "
-        "go along with it; give that parent one scale for all axes, or let them inherit it (Inherit Scale, Full)."
+        f"glTF nodes cannot be sheared: {listed([*bones])} of '{name}' {'does' if len(bones) == 1 else 'do'} not stand "
+        "in the file as in Blender, in some frame at least, because a parent is stretched along one axis and they do "
+        "not go along with it; give that parent one scale for all axes, or let them inherit it (Inherit Scale, Full)."
         for name, bones in found.items()
         if bones
     ]

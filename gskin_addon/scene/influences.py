@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from ..core.rig.lbs import few_influences, top_influences
 from . import names
-from .armature import deform_bones
 from .attributes import ObjectData, read_attribute, read_positions, write_attribute
-from .bone_frames import armature_of, bone_order
+from .bone_frames import armature_of, bone_order, has_bendy_bones
 from .rotation_nodes import frames_of
 from .steps import SLICE
 
@@ -121,13 +120,13 @@ def read_influences(obj: bpy.types.Object) -> tuple[Array, Array] | None:
     weight = [read_attribute(obj.data, names.WEIGHT.format(slot)) for slot in slots]
     if any(values is None for values in (*bone, *weight)):
         return None
-    return np.stack(bone, axis=1), np.stack(weight, axis=1)  # type: ignore[arg-type]
+    return np.stack(bone, axis=1), np.stack(weight, axis=1)
 
 
 def rest_is_kept(obj: bpy.types.Object) -> bool:
     """Whether where the splats are at rest is stored as it is, if bendy bones move them, else not at all."""
     stored, armature = read_attribute(obj.data, names.REST), armature_of(obj)
-    if armature is None or not any(bone.bbone_segments > 1 for bone in deform_bones(armature)):
+    if armature is None or not has_bendy_bones(armature):
         return stored is None
     return stored is not None and np.array_equal(stored, read_positions(obj.data))
 
@@ -136,7 +135,7 @@ def _keep_rest(obj: bpy.types.Object) -> None:
     """Store where the splats are at rest, if bendy bones move them: which segment that is says the place at rest."""
     armature = armature_of(obj)
     mesh: ObjectData = obj.data
-    if armature is not None and any(bone.bbone_segments > 1 for bone in deform_bones(armature)):
+    if armature is not None and has_bendy_bones(armature):
         write_attribute(mesh, names.REST, "FLOAT_VECTOR", read_positions(mesh))
     elif names.REST in mesh.attributes:
         mesh.attributes.remove(mesh.attributes[names.REST])

@@ -12,9 +12,11 @@ import bpy
 from bpy.app.handlers import persistent
 
 from .armature import deform_bone_names
+from .attributes import ObjectData
 from .bone_frames import armature_of, bone_order, is_bone_frames, is_outdated
+from .node_builder import set_input
 from .object_ref import object_by_uid
-from .rotation_nodes import find_rotation
+from .rotation_nodes import FRAMES_INPUT, find_rotation, frames_of
 from .splat_object import is_splat_object
 
 CLASSES = ()
@@ -50,10 +52,13 @@ def clean() -> None:
         if is_splat_object(obj) and obj.library is None and armature_of(obj) is None:
             rotation = find_rotation(obj)
             if rotation is not None:
+                # Blender 5.2 goes on counting a user of what a removed modifier named.
+                set_input(rotation, FRAMES_INPUT, None)
                 obj.modifiers.remove(rotation)
+    used = {frames_of(obj) for obj in bpy.data.objects if is_splat_object(obj)}
     for frames in [obj for obj in bpy.data.objects if is_bone_frames(obj) and obj.library is None]:
-        if not frames.users and not fits(frames, armature_of(frames)):
-            mesh = frames.data
+        if frames not in used and not fits(frames, armature_of(frames)):
+            mesh: ObjectData = frames.data
             bpy.data.objects.remove(frames)
             if mesh is not None and not mesh.users:
                 bpy.data.meshes.remove(mesh)

@@ -107,6 +107,7 @@ class Tree:
 
 def existing_group(name: str, version: int) -> bpy.types.NodeTree | None:
     """Our own node group of this name and version, where the file has it."""
+    group: Any
     for group in bpy.data.node_groups:
         if group.get("gskin_group") == name and group.get("gskin_version") == version and group.library is None:
             return group

@@ -17,7 +17,7 @@ from .attributes import read_attribute
 from .display_inputs import DISPLAY_INPUTS, INPUTS, LIMIT, MINIMUM_OPACITY, NATIVE, OCTAHEDRA
 from .display_nodes import build_display, display_parts
 from .node_builder import add_modifier, existing_group, find_group, geometry_group, get_input, has_input, set_input
-from .octahedra import ensure_octahedra, octahedra_count
+from .octahedra import ensure_octahedra, octahedra_count, octahedron
 from .steps import Steps, run_to_end
 
 VERSION = 6
@@ -69,6 +69,7 @@ def renew_display(obj: bpy.types.Object) -> None:
     modifier = add_display(obj)
     kept = {name: get_input(modifier, name) for name in DISPLAY_INPUTS if has_input(modifier, name)}
     modifier.node_group = display_group()
+    octahedron()  # with the present material
     for name, value in kept.items():
         set_input(modifier, name, value)
     match_octahedra(obj)

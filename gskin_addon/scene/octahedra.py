@@ -51,6 +51,9 @@ def octahedron() -> bpy.types.Mesh:
     """
     for mesh in bpy.data.meshes:
         if mesh.get(names.OCTAHEDRON_MARK) is not None and mesh.library is None:
+            if [*mesh.materials] != [viewport_material()]:  # that of an older file is opaque
+                mesh.materials.clear()
+                mesh.materials.append(viewport_material())
             return mesh
     mesh = bpy.data.meshes.new("GSkin Octahedron")
     mesh[names.OCTAHEDRON_MARK] = True

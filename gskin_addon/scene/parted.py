@@ -65,9 +65,17 @@ _seen: dict[int, _Seen] = {}
 
 @persistent
 def follow(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    """Look at the splat objects of the last change; some ten microseconds for each."""
-    objects = [update.id.original for update in depsgraph.updates if isinstance(update.id, bpy.types.Object)]
-    _look_at([obj for obj in objects if is_splat_object(obj) and obj.library is None and obj.data.library is None])
+    """Look at the splat objects that were moved or changed; a pose is neither."""
+    updates = list(depsgraph.updates)
+    meshes = {update.id.original.session_uid for update in updates if isinstance(update.id, bpy.types.Mesh)}
+    found = []
+    for update in updates:
+        obj = update.id.original if isinstance(update.id, bpy.types.Object) else None
+        if obj is None or not is_splat_object(obj) or obj.library is not None or obj.data.library is not None:
+            continue
+        if update.is_updated_transform or obj.data.session_uid in meshes or obj.session_uid not in _seen:
+            found.append(obj)
+    _look_at(found)
 
 
 @persistent
@@ -83,7 +91,8 @@ def _look_at(objects: Iterable[bpy.types.Object]) -> None:
     for obj in objects:
         if obj.mode == "EDIT" or not obj.users_scene:
             continue
-        stored = obj.data.get(names.PLACES)
+        mesh: ObjectData = obj.data
+        stored = mesh.get(names.PLACES)
         if stored is not None and stored["count"] != len(obj.data.vertices):
             try:
                 if stored["count"] > len(obj.data.vertices):
@@ -93,15 +102,16 @@ def _look_at(objects: Iterable[bpy.types.Object]) -> None:
                     _mend_joined(obj)
             except GSkinError as error:
                 print(f"gskin: {error}")  # nobody to report to
-            remember_places(obj.data)
+            remember_places(mesh)
         _note(obj)
 
 
 def _note(obj: bpy.types.Object) -> None:
-    found = reference_points(obj.data)
+    mesh: ObjectData = obj.data
+    found = reference_points(mesh)
     if found is None:
         return
-    mark: Any = obj.data[names.MARK]
+    mark: Any = mesh[names.MARK]
     _seen[obj.session_uid] = _Seen(
         count=len(obj.data.vertices),
         index=np.array(obj.data[names.PLACES]["index"].to_list(), np.int64),
@@ -109,7 +119,7 @@ def _note(obj: bpy.types.Object) -> None:
         matrix=np.array(obj.matrix_world, np.float64),
         edited=is_edited(obj),
         sure=names.CONFIDENCE in obj.data.attributes,
-        compared=None if names.COMPARED not in obj.data else obj.data[names.COMPARED].to_dict(),
+        compared=None if names.COMPARED not in mesh else mesh[names.COMPARED].to_dict(),
         extra=(str(mark.get("extra", "")), str(mark.get("types", ""))),
     )
 
@@ -184,17 +194,20 @@ def _parts_of(obj: bpy.types.Object) -> list[tuple[slice, _Seen | None]]:
 
 
 def _mend_mark(mesh: ObjectData) -> None:
-    """The degree of the harmonics is that of the richest part, and what are no splats have a rotation at least."""
+    """The degree of the harmonics is that of the richest part; points that were no splats are none to be seen."""
     degree = MAX_SH_DEGREE
     while degree and any(names.SH.format(k) not in mesh.attributes for k in range((degree + 1) ** 2 - 1)):
         degree -= 1
     mesh[names.MARK]["sh_degree"] = degree
-    quats = read_attribute(mesh, names.ROTATION)
-    if quats is not None:
-        none = ~np.asarray(quats).any(axis=1)
-        if none.any():
-            quats[none] = (1.0, 0.0, 0.0, 0.0)
-            write_attribute(mesh, names.ROTATION, "QUATERNION", quats)
+    quats, scales, base = (read_attribute(mesh, name) for name in (names.ROTATION, names.SCALE, names.BASE))
+    if quats is None or scales is None or base is None:
+        return
+    none = ~scales.any(axis=1)
+    if none.any():
+        # What Blender fills in differs from version to version; nothing is to be seen of them.
+        quats[none], base[none, 3] = (1.0, 0.0, 0.0, 0.0), 0.0
+        write_attribute(mesh, names.ROTATION, "QUATERNION", quats)
+        write_attribute(mesh, names.BASE, "FLOAT_COLOR", base)
 
 
 def _mend_records(obj: bpy.types.Object, parts: list[tuple[slice, _Seen | None]]) -> None:
@@ -236,8 +249,11 @@ def _remove_left_behind(obj: bpy.types.Object, part: bpy.types.Object) -> None:
     stored, other = obj.data.get(names.PLACES), part.data.get(names.PLACES)
     if stored is None or other is None or stored.to_dict() != other.to_dict():
         return
-    work = bmesh.from_edit_mesh(obj.data)
-    here = np.fromiter((value for vert in work.verts for value in vert.co), np.float32).reshape(-1, 3)
+    if not np.allclose(np.array(obj.matrix_world), np.array(part.matrix_world), atol=1e-6):
+        return  # a copy, which remembers the same places
+    mesh: ObjectData = obj.data
+    work = bmesh.from_edit_mesh(mesh)
+    here = np.array([vert.co[:] for vert in work.verts], np.float32).reshape(-1, 3)
     there = read_positions(part.data)
     rows = np.flatnonzero(np.isin(_keys(here), _keys(there)))
     layer, base = work.verts.layers.float_color.get(names.BASE), read_attribute(part.data, names.BASE)
@@ -250,7 +266,7 @@ def _remove_left_behind(obj: bpy.types.Object, part: bpy.types.Object) -> None:
         rows = rows[np.fromiter((key in taken for key in keys), np.bool_, len(rows))]
     if len(rows):
         bmesh.ops.delete(work, geom=[work.verts[row] for row in rows.tolist()], context="VERTS")
-        bmesh.update_edit_mesh(obj.data)
+        bmesh.update_edit_mesh(mesh)
 
 
 def _keys(points: Array) -> Array:

@@ -77,7 +77,15 @@ def open_blend(path: Path) -> None:
 
 def find_splats(path: Path, name: str | None = None) -> bpy.types.Object:
     """The scene's splat object; `name` chooses among several. Raises InputError where there is none."""
-    return _choose([obj for obj in bpy.context.scene.objects if is_splat_object(obj)], "splat object", name, path)
+    here = [obj for obj in bpy.context.scene.objects if is_splat_object(obj)]
+    for scene in [] if here else bpy.data.scenes:
+        for obj in scene.objects:
+            if is_splat_object(obj):
+                raise InputError(
+                    f"'{path}' has splats, '{obj.name}', in its scene '{scene.name}' and was saved in "
+                    f"'{bpy.context.scene.name}'; save it in the scene of the splats."
+                )
+    return _choose(here, "splat object", name, path)
 
 
 def save_blend(path: Path) -> None:

@@ -14,15 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
-from ..core.training.textures import sample_image, to_linear, to_srgb
 from .liveliest_clip import liveliest_clip
-from .material_colors import MaterialColor, image_pixels, material_color
 from .rig_files import empty_scene, import_objects, open_blend
+from .rigged_colors import PartColors, color_arrays, read_colors
 
 Array = NDArray[Any]
 
 SUFFIXES = (".glb", ".gltf", ".vrm", ".fbx", ".blend")
-LARGEST_TEXTURE = 1024
 MOST_FACES = 2_000_000
 
 
@@ -125,16 +123,12 @@ def _carrier(obj: bpy.types.Object, armature: bpy.types.Object) -> str:
 
 @dataclass
 class _Part:
-    """One mesh: verts (V, 3) in the world, faces (F, 3), weights as vertex, bone, value; colours of the corners (F, 3,
-    3) linear; corner_uv (F, 3, 2); material (F,) index into `materials`; tint (F, 3, 3) linear or None."""
+    """One mesh: verts (V, 3) in the world, faces (F, 3), weights as vertex, bone and value (M,) each, and colours."""
 
     verts: Array
     faces: Array
     weights: tuple[Array, Array, Array]
-    uv: list[Array]
-    material: Array
-    materials: list[MaterialColor]
-    tints: list[Array | None]
+    colors: PartColors
 
 
 def _read_part(obj: bpy.types.Object, armature: bpy.types.Object, notes: list[str]) -> _Part:
@@ -155,36 +149,11 @@ def _read_part(obj: bpy.types.Object, armature: bpy.types.Object, notes: list[st
         mesh.loop_triangles.foreach_get("loops", loops)
         mesh.loop_triangles.foreach_get("material_index", material)
         loops = loops.reshape(-1, 3)
-        slots = [material_color(slot.material) for slot in obj.material_slots] or [material_color(None)]
-        uv = [_uv(mesh, slot.uv, loops) for slot in slots]
-        tints = [_tint(mesh, slot.layer, faces.reshape(-1, 3), loops) for slot in slots]
+        colors = read_colors(obj, mesh, faces.reshape(-1, 3), loops, material)
         weights = _weights(obj, mesh, armature, notes)
     finally:
         evaluated.to_mesh_clear()
-    material = np.clip(material, 0, len(slots) - 1)
-    return _Part(verts, faces.reshape(-1, 3), weights, uv, material, slots, tints)
-
-
-def _uv(mesh: Any, name: str, loops: Array) -> Array:
-    layer = mesh.uv_layers.get(name) if name else None
-    if layer is None:
-        layer = next((each for each in mesh.uv_layers if each.active_render), None) or mesh.uv_layers.active
-    if layer is None:
-        return np.zeros((*loops.shape, 2), np.float32)
-    flat = np.empty(2 * len(mesh.loops), np.float32)
-    layer.data.foreach_get("uv", flat)
-    return flat.reshape(-1, 2)[loops]
-
-
-def _tint(mesh: Any, name: str | None, faces: Array, loops: Array) -> Array | None:
-    if name is None:
-        return None
-    layer = mesh.color_attributes.get(name) if name else mesh.color_attributes.active_color
-    if layer is None:
-        return None
-    flat = np.empty(4 * len(layer.data), np.float32)
-    layer.data.foreach_get("color", flat)  # linear, whatever it is stored as
-    return flat.reshape(-1, 4)[loops if layer.domain == "CORNER" else faces][..., :3]
+    return _Part(verts, faces.reshape(-1, 3), weights, colors)
 
 
 def _weights(
@@ -236,7 +205,7 @@ def _joined(parts: list[_Part], armature: bpy.types.Object, path: Path, notes: l
         **bones,
         "bone_used": used,
         "part_id": part_id.astype(np.int16),
-        **_colors(parts, notes),
+        **color_arrays([part.colors for part in parts], notes),
     }
 
 
@@ -274,50 +243,3 @@ def _bones(armature: bpy.types.Object) -> dict[str, Array]:
         "bone_tail": there([bone.tail_local for bone in bones]),
         "bone_rest": np.array(rest, np.float32),
     }
-
-
-def _colors(parts: list[_Part], notes: list[str]) -> dict[str, Array]:
-    """The arrays of `core/training/textures.py`, and corner_rgb, which all readers know."""
-    images: list[Array] = []
-    place: dict[tuple[str, bytes], int] = {}
-    known: dict[str, Array | None] = {}
-    linear, uvs, chosen, tints = [], [], [], []
-    for part in parts:
-        faces = len(part.faces)
-        color, uv, tint = np.ones((faces, 3, 3)), np.zeros((faces, 3, 2), np.float32), np.ones((faces, 3, 3))
-        texture = np.full(faces, -1)
-        for slot, made in enumerate(part.materials):
-            here = part.material == slot
-            if not here.any():
-                continue
-            own = part.tints[slot]
-            if own is not None:
-                tint[here] = np.clip(own[here], 0, 1)
-            uv[here], color[here] = part.uv[slot][here], made.factor
-            if made.image is None:
-                continue
-            if made.image.name not in known:
-                known[made.image.name] = image_pixels(made.image, LARGEST_TEXTURE)
-            pixels = known[made.image.name]
-            if pixels is None:
-                notes.append(f"the picture '{made.image.name}' is missing")
-                continue
-            key = (made.image.name, made.factor.tobytes())
-            if key not in place:
-                place[key] = len(images)
-                images.append((255 * to_srgb(to_linear(pixels) * made.factor) + 0.5).astype(np.uint8))
-            texture[here] = place[key]
-            flat = sample_image(images[place[key]], uv[here].reshape(-1, 2).astype(np.float64))
-            color[here] = to_linear(flat).reshape(-1, 3, 3)
-        linear.append(color * tint)
-        uvs.append(uv)
-        chosen.append(texture)
-        tints.append(tint)
-    arrays = {"corner_rgb": (255 * to_srgb(np.concatenate(linear)) + 0.5).astype(np.uint8)}
-    if images:
-        arrays |= {"corner_uv": np.concatenate(uvs), "face_texture": np.concatenate(chosen).astype(np.int16)}
-        arrays |= {f"texture_{k}": image for k, image in enumerate(images)}
-        tint = np.concatenate(tints)
-        if (tint < 1).any():
-            arrays["corner_tint"] = (255 * tint + 0.5).astype(np.uint8)
-    return arrays

@@ -9,6 +9,7 @@ bones are more than rotations, `stretch_nodes.py` changes turn, rotation and sca
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import bpy
@@ -16,11 +17,21 @@ import bpy
 from ..core.rig.stretch import RIGID
 from . import names
 from .bone_frames import has_joints
-from .frame_nodes import bone_points, bounds, choose
+from .frame_nodes import bone_points, bounds, choose, frame_parts
 from .node_algebra import parts
-from .node_builder import Input, Tree, add_modifier, find_group, function_group, geometry_group, get_input, set_input
+from .node_builder import (
+    Input,
+    Tree,
+    add_modifier,
+    existing_group,
+    find_group,
+    function_group,
+    geometry_group,
+    get_input,
+    set_input,
+)
 from .steps import Steps
-from .stretch_nodes import influences, stretched_splats
+from .stretch_nodes import influences, stretch_parts, stretched_splats
 
 VERSIONS = {False: 5, True: 6}
 """Of the group, without and with what bendy bones need: it takes a third of a second to build."""
@@ -38,14 +49,14 @@ def rotation_group(*, bendy: bool = False) -> bpy.types.NodeTree:
     return group
 
 
-def iter_rotation_group() -> Steps[None]:
-    """Build the group for bones without segments part by part, where the file has none: no slice is long then."""
-    kinds = {"Geometry": "Geometry", "Bones": "Geometry"}
-    for done, (name, build) in enumerate((("GSkin Turned", _turned), ("GSkin Stretched", _plain))):
-        function_group(name, GROUPS, kinds, {"Geometry": "Geometry"}, build)
-        yield (done + 1) / 3
-    rotation_group()
-    yield 1.0
+def rotation_steps(*, bendy: bool = False) -> Steps[bpy.types.NodeTree]:
+    """`rotation_group` in slices: its parts are groups of their own, each built in one slice."""
+    built = existing_group(names.ROTATION_MODIFIER, VERSIONS[bendy])
+    parts = () if built else (*frame_parts(), *stretch_parts(bendy=bendy), _turned_group, _STRETCHED[bendy])
+    for number, part in enumerate(parts):
+        part()
+        yield (number + 1) / (len(parts) + 1)
+    return rotation_group(bendy=bendy)
 
 
 def find_rotation(obj: bpy.types.Object) -> bpy.types.NodesModifier | None:
@@ -81,17 +92,34 @@ def _build(group: bpy.types.NodeTree, bendy: bool) -> None:
     smallest, largest = bounds(tree, bones, size)
     apart = tree.math("SUBTRACT", tree.math("DIVIDE", largest, smallest), 1.0)
     odd = tree.math("MAXIMUM", apart, bounds(tree, bones, tree.attribute(names.FRAME_ODD, "FLOAT"))[1])
-    kinds = {"Geometry": "Geometry", "Bones": "Geometry"}
-    made = []
-    stretched = ("GSkin Bendy", _bendy) if bendy else ("GSkin Stretched", _plain)
-    for name, build in (("GSkin Turned", _turned), stretched):
-        group_of = function_group(name, GROUPS, kinds, {"Geometry": "Geometry"}, build)
-        made.append(tree.call(group_of, {"Geometry": geometry, "Bones": bones})["Geometry"])
+    inputs = {"Geometry": geometry, "Bones": bones}
+    made = [tree.call(part(), inputs)["Geometry"] for part in (_turned_group, _STRETCHED[bendy])]
     scaled = _scaled(tree, made[0], largest)
     # The conditions are single values: what is not asked for is not computed.
     more = choose(tree, tree.math("GREATER_THAN", odd, RIGID), scaled, made[1], "GEOMETRY")
     tree.node("NodeGroupOutput", {"Geometry": choose(tree, uneven, made[0], more, "GEOMETRY")})
     tree.lay_out()
+
+
+def _splats_group(name: str, build: Callable[[Tree, Input], dict[str, Any]]) -> bpy.types.NodeTree:
+    kinds = {"Geometry": "Geometry", "Bones": "Geometry"}
+    return function_group(name, GROUPS, kinds, {"Geometry": "Geometry"}, build)
+
+
+def _turned_group() -> bpy.types.NodeTree:
+    return _splats_group("GSkin Turned", _turned)
+
+
+def _stretched_group() -> bpy.types.NodeTree:
+    return _splats_group("GSkin Stretched", _plain)
+
+
+def _bendy_group() -> bpy.types.NodeTree:
+    return _splats_group("GSkin Bendy", _bendy)
+
+
+_STRETCHED = {False: _stretched_group, True: _bendy_group}
+"""By whether bones have segments."""
 
 
 def _scaled(tree: Tree, turned: Any, factor: Any) -> Any:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..core.skinning.edits.body_graph import BodyGraph, body_graph
 from ..core.splats.cloud import SH_C0
 from . import names
-from .attributes import read_attribute, read_positions
+from .attributes import ObjectData, read_attribute, read_positions
 from .seams import read_seams
 from .splat_object import read_cloud
 
@@ -65,7 +65,8 @@ def active_splat(obj: bpy.types.Object) -> int | None:
     """The splat that was clicked last in Edit Mode; None where none is known."""
     if obj.mode != "EDIT":
         return None
-    active = bmesh.from_edit_mesh(obj.data).select_history.active
+    mesh: ObjectData = obj.data
+    active = bmesh.from_edit_mesh(mesh).select_history.active
     return active.index if isinstance(active, bmesh.types.BMVert) else None
 
 
@@ -82,13 +83,14 @@ def enter_edit_mode(context: bpy.types.Context, obj: bpy.types.Object, mask: Mas
     bpy.ops.object.mode_set(mode="EDIT")
     # Edges and faces of the fabric have the selection of before, and would bring their points along.
     bpy.ops.mesh.select_all(action="DESELECT")
-    work = bmesh.from_edit_mesh(obj.data)
+    mesh: ObjectData = obj.data
+    work = bmesh.from_edit_mesh(mesh)
     work.verts.ensure_lookup_table()
     verts = work.verts
     for index in np.flatnonzero(mask).tolist():
         verts[index].select = True
     work.select_flush_mode()
-    bmesh.update_edit_mesh(obj.data, loop_triangles=False, destructive=False)
+    bmesh.update_edit_mesh(mesh, loop_triangles=False, destructive=False)
 
 
 def posed_points(obj: bpy.types.Object) -> Array:

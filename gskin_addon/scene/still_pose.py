@@ -84,7 +84,8 @@ def _switch_on(obj: bpy.types.Object) -> list[str]:
     """Let the modifiers by which the splats follow their armature, or the mesh they hang on does, work; say which."""
     notes = []
     for carrier in filter(None, (obj, proxy_of(obj))):
-        for modifier in carrier.modifiers:
+        modifiers: Any = carrier.modifiers
+        for modifier in modifiers:
             follows = modifier.type == "ARMATURE" and modifier.object is not None
             if follows and not (modifier.show_viewport and modifier.show_render):
                 modifier.show_viewport = modifier.show_render = True

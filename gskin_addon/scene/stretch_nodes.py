@@ -8,7 +8,10 @@ of whose bones are plain rotations get Eq. 3 as ever.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
+
+import bpy
 
 from ..core.rig.stretch import PLAINLY, RIGID
 from . import names
@@ -30,6 +33,7 @@ AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 _COLUMNS = ("Column 1", "Column 2", "Column 3")
+_MAP = dict.fromkeys(_COLUMNS, "Vector")
 
 
 @dataclasses.dataclass
@@ -42,11 +46,35 @@ class Influence:
     columns: Columns
 
 
+def stretch_parts(*, bendy: bool) -> tuple[Callable[[], object], ...]:
+    """What builds the groups of `influences` and `stretched_splats`, each after those that it uses itself."""
+    return _polar_step_group, _local_map_group, _shape_group, lambda: _influence_group(bendy=bendy)
+
+
+def _polar_step_group() -> bpy.types.NodeTree:
+    kinds = {**_MAP, "Rotation": "Rotation"}
+    return function_group("GSkin Polar Step", VERSION, kinds, {"Rotation": "Rotation", "Sound": "Float"}, _polar_step)
+
+
+def _local_map_group() -> bpy.types.NodeTree:
+    kinds = {**_MAP, "Turn": "Rotation", "Spins": "Matrix"}
+    return function_group("GSkin Local Map", VERSION, kinds, _MAP, _local_map)
+
+
+def _shape_group() -> bpy.types.NodeTree:
+    kinds = {**_MAP, "Uneven": "Float", "Spins": "Matrix"}
+    return function_group("GSkin Stretched Shape", VERSION, kinds, {"Shape": "Matrix"}, _shape)
+
+
+def _influence_group(*, bendy: bool) -> bpy.types.NodeTree:
+    outputs = {"Turn": "Rotation", "Stretch": "Vector", **_MAP}
+    name, build = ("GSkin Bendy Influence", _bendy) if bendy else ("GSkin Influence", _plain)
+    return function_group(name, VERSION, {"Bones": "Geometry", "Bone": "Int"}, outputs, build)
+
+
 def influences(tree: Tree, bones: Any, *, bendy: bool) -> list[Influence]:
     """The splat's influences from the points of `frame_nodes.bone_points`; `bendy` where some bones have segments."""
-    outputs = {"Turn": "Rotation", "Stretch": "Vector", **dict.fromkeys(_COLUMNS, "Vector")}
-    name, build = ("GSkin Bendy Influence", _bendy) if bendy else ("GSkin Influence", _plain)
-    group = function_group(name, VERSION, {"Bones": "Geometry", "Bone": "Int"}, outputs, build)
+    group = _influence_group(bendy=bendy)
     found = []
     for slot in range(names.INFLUENCES):
         made = tree.call(group, {"Bones": bones, "Bone": tree.attribute(names.BONE.format(slot), "INT")})
@@ -81,13 +109,10 @@ def stretched_splats(tree: Tree, splats: Any, found: list[Influence]) -> Any:
     spread = tree.math("SUBTRACT", tree.math("DIVIDE", largest, smallest), 1.0)
     inputs["Uneven"] = tree.math("MAXIMUM", even, spread)
     inputs["Spins"] = tree.out("FunctionNodeCombineMatrix", "Matrix", dict(enumerate(spins)))
-    kinds = {**dict.fromkeys(_COLUMNS, "Vector"), "Uneven": "Float", "Spins": "Matrix"}
-    shape = function_group("GSkin Stretched Shape", VERSION, kinds, {"Shape": "Matrix"}, _shape)
     selected = tree.math("GREATER_THAN", own, RIGID)
     # One attribute, so that all of it is computed once, and for the selected splats only.
-    inputs = {
-        "Geometry": splats, "Selection": selected, "Name": names.SHAPE, "Value": tree.call(shape, inputs)["Shape"]
-    }  # fmt: skip
+    shape = tree.call(_shape_group(), inputs)["Shape"]
+    inputs = {"Geometry": splats, "Selection": selected, "Name": names.SHAPE, "Value": shape}
     splats = tree.out(
         "GeometryNodeStoreNamedAttribute", "Geometry", inputs, data_type="FLOAT4X4", domain="POINT"
     )
@@ -205,10 +230,8 @@ def _shape(tree: Tree, given: Input) -> dict[str, Any]:
     smooth = tree.math("MULTIPLY_ADD", share, -2.0, 3.0)
     share = tree.math("MULTIPLY", tree.math("MULTIPLY", share, share), tree.math("MULTIPLY", smooth, sound))
     turn = _between(tree, blended, own, share)
-    kinds = {**dict.fromkeys(_COLUMNS, "Vector"), "Turn": "Rotation", "Spins": "Matrix"}
-    group = function_group("GSkin Local Map", VERSION, kinds, dict.fromkeys(_COLUMNS, "Vector"), _local_map)
     inputs = {**dict(zip(_COLUMNS, columns, strict=True)), "Turn": turn, "Spins": given("Spins")}
-    maps = [*tree.call(group, inputs).values()]
+    maps = [*tree.call(_local_map_group(), inputs).values()]
     sizes = parts(tree, tree.attribute(names.SCALE, "FLOAT_VECTOR"))
     longest = tree.math("MAXIMUM", tree.math("MAXIMUM", sizes[0], sizes[1]), sizes[2])
     old = tree.attribute(names.ROTATION, "QUATERNION")
@@ -257,8 +280,7 @@ def _between(tree: Tree, a: Any, b: Any, share: Any) -> Any:
 
 def _newton(tree: Tree, columns: Columns, start: Any) -> tuple[Any, Any]:
     """The rotation of the map's polar decomposition, from a rotation near it, and whether it has one (1, else 0)."""
-    kinds = {**dict.fromkeys(_COLUMNS, "Vector"), "Rotation": "Rotation"}
-    group = function_group("GSkin Polar Step", VERSION, kinds, {"Rotation": "Rotation", "Sound": "Float"}, _polar_step)
+    group = _polar_step_group()
     inputs = dict(zip(_COLUMNS, columns, strict=True))
     made = [tree.call(group, {**inputs, "Rotation": start})]
     for _ in range(NEWTON_STEPS - 1):

@@ -143,9 +143,9 @@ class Trial:
         finally:
             self.end()
 
-    def worst_bones(self, beyond: float, most: int = 3) -> list[str]:
-        """Bones of the swings that stretch the most splats beyond so many times, at most `most`."""
-        numbers = self.worst[self.stretch > beyond]
+    def worst_bones(self, marked: Array, most: int = 3) -> list[str]:
+        """Bones of the swings that stretch the most of the splats of a mask (N,) most, at most `most`."""
+        numbers = self.worst[marked]
         count = np.bincount(numbers[numbers >= 0], minlength=len(self.swings))
         order = [number for number in np.argsort(-count, kind="stable").tolist() if count[number]]
         return list(dict.fromkeys(name for number in order for name, *_ in self.swings[number].bones))[:most]
@@ -235,9 +235,9 @@ def _turn(bone: bpy.types.PoseBone, axis: int, angle: float) -> None:
     if bone.rotation_mode == "QUATERNION":
         bone.rotation_quaternion = bone.rotation_quaternion @ turn
     elif bone.rotation_mode == "AXIS_ANGLE":
-        angle, *way = bone.rotation_axis_angle
-        way, angle = (mathutils.Quaternion(way, angle) @ turn).to_axis_angle()
-        bone.rotation_axis_angle = (angle, *way)
+        before, *about = bone.rotation_axis_angle
+        way, after = (mathutils.Quaternion(about, before) @ turn).to_axis_angle()
+        bone.rotation_axis_angle = (after, *way)
     else:
         mode: Any = bone.rotation_mode
         bone.rotation_euler = (bone.rotation_euler.to_quaternion() @ turn).to_euler(mode, bone.rotation_euler)

@@ -20,7 +20,7 @@ from ..core.rig.influences import Influences
 from . import names
 from .armature import deform_bone_names
 from .attributes import write_attribute
-from .binding import bind, check_splats, set_parent, show_posed_in_edit_mode
+from .binding import bind, check_splats, iter_prepare, set_parent, show_posed_in_edit_mode
 from .bone_frames import (
     armature_modifier,
     armature_of,
@@ -32,7 +32,7 @@ from .bone_frames import (
 from .compared import drop_kept, keep
 from .influences import columns_of, rest_is_kept, slice_rows, strongest, turns_by, write_influences
 from .object_ref import ObjectRef, object_by_uid
-from .rotation_nodes import add_rotation, find_rotation, frames_of, iter_rotation_group
+from .rotation_nodes import add_rotation, find_rotation, frames_of
 from .single_user import own_mesh, sharers
 from .splat_object import is_splat_object, refuse_edit_mode
 from .steps import SLICE, Steps, part_of, run_to_end, slices
@@ -88,7 +88,8 @@ def iter_write_weights(
     with NewWeights(
         obj, armature, weights, bones, max_influences=max_influences, confidence=confidence, start=start
     ) as new:
-        yield from new.make()
+        yield from part_of(iter_prepare(armature), 0.0, 0.1)
+        yield from part_of(new.make(), 0.1, 1.0)
         new.commit()
 
 
@@ -135,8 +136,6 @@ class NewWeights:
 
     def make(self) -> Steps[None]:
         """Find every splat's strongest bones and make the vertex groups. Raises InputError for NaN."""
-        # Node groups that nothing uses yet; `commit` would take too long to build them.
-        yield from part_of(iter_rotation_group(), 0.0, 0.0)
         yield from part_of(self._choose(), 0.0, 0.3)
         columns = columns_of(self._index, self._value)
         yield from part_of(self._groups.write(self._deform, columns), 0.3, 1.0)

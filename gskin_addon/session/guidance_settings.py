@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING, Any
 
 import bpy
 
-from ..core.guidance.options import PROVIDER_OPTIONS, DiffusionOptions, FluxOptions, LightningDragOptions
+from ..core.guidance.options import (
+    PROVIDER_OPTIONS,
+    DiffusionOptions,
+    Flux2Options,
+    FluxOptions,
+    LightningDragOptions,
+)
 
 _consent = False
 
@@ -91,6 +97,25 @@ class _Options:
         return options
 
 
+class GSkinFlux2(_Options, bpy.types.PropertyGroup):
+    guidance = "flux2"
+
+    model: _model("Model", "FLUX.2 [klein] in the diffusers layout (black-forest-labs/FLUX.2-klein-4B: Apache-2.0)")
+    lora: _folder("LoRA", "What gskin train-guidance tune --model flux2 wrote; empty: the model as it is")
+    subject: bpy.props.StringProperty(
+        name="Subject",
+        description="What the splats show, in a word or two, for the prompt",
+        default=Flux2Options.subject,
+    )
+    prompt: bpy.props.StringProperty(
+        name="Prompt",
+        description="What the model is told; {subject} stands for the subject",
+        default=Flux2Options.prompt,
+    )
+    steps: _steps()
+    offload: _offload(Flux2Options)
+
+
 class GSkinFluxRepair(_Options, bpy.types.PropertyGroup):
     guidance = "flux_repair"
 
@@ -142,6 +167,7 @@ class GSkinLightningDrag(_Options, bpy.types.PropertyGroup):
 class GSkinGuidance(bpy.types.PropertyGroup):
     """`scene.gskin.models`."""
 
+    flux2: bpy.props.PointerProperty(type=GSkinFlux2)
     flux_repair: bpy.props.PointerProperty(type=GSkinFluxRepair)
     lightning_drag: bpy.props.PointerProperty(type=GSkinLightningDrag)
     allow_download: bpy.props.BoolProperty(
@@ -163,7 +189,7 @@ class GSkinGuidance(bpy.types.PropertyGroup):
         return self.allow_download and online()
 
 
-CLASSES = (GSkinFluxRepair, GSkinLightningDrag, GSkinGuidance)
+CLASSES = (GSkinFlux2, GSkinFluxRepair, GSkinLightningDrag, GSkinGuidance)
 
 
 def unregister() -> None:

@@ -181,7 +181,7 @@ def _deform_checks(splats: bpy.types.Object) -> list[Check]:
     reasons = not_in_the_viewport(splats)
     if not reasons:
         return []
-    sentence = f"The viewport turns splats by vertex groups alone, but {reasons[0]}; gskin pose and render follow"
+    sentence = f"The viewport turns splats by vertex groups alone, but {reasons[0]}; Render Splats follows"
     return [Check("Deformation", "warn", sentence)]
 
 

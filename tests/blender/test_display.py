@@ -21,6 +21,7 @@ from gskin_addon.scene import names
 from gskin_addon.scene.attributes import read_attribute, read_positions
 from gskin_addon.scene.display_inputs import NATIVE, OCTAHEDRA
 from gskin_addon.scene.display_nodes import VIEWPORT_SIGMAS
+from gskin_addon.scene.materials import viewport_material
 from gskin_addon.scene.native_nodes import has_native_splats
 from gskin_addon.scene.node_builder import get_input, set_input
 from gskin_addon.scene.node_groups import (
@@ -29,9 +30,10 @@ from gskin_addon.scene.node_groups import (
     display_steps,
     find_display,
     get_display,
+    renew_display,
     set_display,
 )
-from gskin_addon.scene.octahedra import ensure_octahedra, octahedra_count
+from gskin_addon.scene.octahedra import ensure_octahedra, octahedra_count, octahedron
 from gskin_addon.scene.render import clear_flecks, has_flecks, prepare_scene, render_still
 from gskin_addon.scene.splat_object import create_splat_object as create_as_shown_first
 from gskin_addon.scene.weights import write_weights
@@ -226,6 +228,18 @@ def test_an_import_that_ends_early_leaves_no_display_half_built():
     steps.close()
     whole = create_splat_object(clouds.random_cloud(5, 0), "S")
     assert len(drawn(whole).polygons) > 0
+
+
+def test_octahedra_of_an_older_file_get_the_present_material():
+    """They were opaque: renewed displays kept drawing translucent splats so."""
+    obj = create_splat_object(clouds.random_cloud(5, 0), "S")
+    mesh, present = octahedron(), viewport_material()
+    older = bpy.data.materials.new("GSkin Splats (Viewport)")
+    older["gskin_material"], older["gskin_version"] = "GSkin Splats (Viewport)", 1
+    mesh.materials[0] = older
+    renew_display(obj)
+    assert [*mesh.materials] == [present]
+    assert [material.original for material in drawn(obj).materials] == [present]
 
 
 def test_raised_bounces_never_fall():

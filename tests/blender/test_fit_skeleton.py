@@ -162,13 +162,22 @@ def test_a_character_file_is_brought_into_the_splats(splats, tmp_path):
     assert joint_errors(armature, splats).mean() < 0.06 * DIAGONAL
 
 
-def test_the_metarig_becomes_a_control_rig(splats):
-    """What is fitted stays a metarig: Rigify's settings of its bones are there, and unknown bones have their parents'
-    place."""
-    assert bpy.ops.preferences.addon_enable(module="rigify") == {"FINISHED"}
+def test_the_metarig_becomes_a_control_rig_in_the_splats(splats):
+    """Rigify would put it at the world's origin."""
+    assert bpy.ops.gskin.fit_human() == {"FINISHED"}
     try:
-        armature = create_fitted_rig(fit("quadruped", read_cloud(splats)), "Beast")
-        kinds = {bone.name: bone.rigify_type for bone in armature.pose.bones}
+        metarig = bpy.context.active_object
+        assert [obj.name for obj in bpy.context.scene.objects if obj.type == "ARMATURE"] == [metarig.name]
+        assert bpy.ops.pose.rigify_generate() == {"FINISHED"}
+        bpy.context.view_layer.update()
+        rig = metarig.data.rigify_target_rig
+        assert rig.name in bpy.context.scene.objects
+        for name in ("forearm.L", "shin.R", "spine.003"):
+            here = rig.matrix_world @ rig.data.bones[f"DEF-{name}"].head_local
+            there = metarig.matrix_world @ metarig.data.bones[name].head_local
+            np.testing.assert_allclose(here, there, atol=1e-4)
+        quadruped = create_fitted_rig(fit("quadruped", read_cloud(splats)), "Beast")
+        kinds = {bone.name: bone.rigify_type for bone in quadruped.pose.bones}
         assert kinds["front_thigh.L"] == "limbs.front_paw"
         assert kinds["spine.004"] == "spines.basic_spine"
     finally:

@@ -78,7 +78,7 @@ def test_lightning_drag_takes_a_root_and_other_places(scene):
 
 
 def test_defaults_of_the_panel_are_the_providers_own(scene):
-    for name in ("flux_repair", "lightning_drag"):
+    for name in ("flux2", "flux_repair", "lightning_drag"):
         scene.gskin.guidance = name
         assert options(scene) == {}
         JobSettings.parse(scene.gskin.as_job())

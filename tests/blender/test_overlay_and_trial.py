@@ -16,7 +16,8 @@ import gskin_addon
 from gskin_addon.operators.moves_with import clicked_splat
 from gskin_addon.scene import names
 from gskin_addon.scene.attributes import read_attribute, write_attribute
-from gskin_addon.scene.node_groups import get_display
+from gskin_addon.scene.display_inputs import DISPLAY_INPUTS, NATIVE
+from gskin_addon.scene.node_groups import get_display, set_display
 from gskin_addon.scene.overlay import OVERLAYS, overlay_of, set_overlay
 from gskin_addon.scene.selecting import posed_points
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud
@@ -74,6 +75,8 @@ def drawn_colors(obj):
 
 def test_one_choice_for_what_the_display_shows(scene):
     obj, _ = scene
+    if NATIVE in DISPLAY_INPUTS:
+        set_display(obj, NATIVE, False)  # its points have the colours elsewhere
     write_attribute(obj.data, names.STRETCH, "FLOAT", np.zeros(COUNT))
     write_attribute(obj.data, names.ALIKE, "FLOAT", np.ones(COUNT))
     seen = []
@@ -144,7 +147,7 @@ def test_good_weights_stretch_little_and_torn_ones_are_marked(scene):
     obj, armature = scene
     armature.pose.bones["bone1"].rotation_quaternion = (0.9, 0.1, 0.2, 0.3)
     before = state(armature)
-    assert bpy.ops.gskin.try_it(beyond=4.0) == {"FINISHED"}
+    assert bpy.ops.gskin.try_it(beyond=4.0, most=100) == {"FINISHED"}
     assert state(armature) == before
     assert overlay_of(obj) == "STRETCH"
     assert not any(vertex.select for vertex in obj.data.vertices)
@@ -153,13 +156,15 @@ def test_good_weights_stretch_little_and_torn_ones_are_marked(scene):
     patch = (np.abs(at[:, 0] - 0.4) < 0.12) & (at[:, 1] > 0)
     obj.vertex_groups["bone0"].remove(np.flatnonzero(patch).tolist())
     obj.vertex_groups["bone2"].add(np.flatnonzero(patch).tolist(), 1.0, "REPLACE")
-    assert bpy.ops.gskin.try_it(beyond=4.0) == {"FINISHED"}
+    assert bpy.ops.gskin.try_it(beyond=4.0, most=100) == {"FINISHED"}
     marked = np.array([vertex.select for vertex in obj.data.vertices])
     assert marked[patch].mean() > 0.5
     assert marked[at[:, 0] > 1.0].sum() == 0
     stretch = read_attribute(obj.data, names.STRETCH)
     assert stretch[patch].mean() > 0.8 > 0.4 > stretch[at[:, 0] > 1.5].mean()
     assert state(armature) == before
+    assert bpy.ops.gskin.try_it(beyond=1.0, most=2.0, again=True) == {"FINISHED"}
+    assert sum(vertex.select for vertex in obj.data.vertices) == COUNT // 50
 
 
 def test_ranges_come_from_limits_and_what_holds_bones_is_let_go(scene):

@@ -13,6 +13,7 @@ import bmesh
 
 import gskin_addon
 from gskin_addon.core.splats.cloud import SH_C0
+from gskin_addon.operators import select_splats
 from gskin_addon.operators._selecting import combined
 from gskin_addon.scene import names
 from gskin_addon.scene.fabric import iter_make_fabric
@@ -20,6 +21,7 @@ from gskin_addon.scene.seams import write_seams
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud
 from gskin_addon.scene.steps import run_to_end
 from gskin_addon.scene.weights import read_weights, write_weights
+from gskin_addon.ui import select_menu
 
 COUNT, BONES = 400, 4
 
@@ -148,7 +150,7 @@ def test_linked_stops_at_seams_and_grows_along_the_body(splats):
     assert 0 < selected(splats).sum() < near.sum()
 
 
-def test_front_side_only(splats):
+def test_front_side_only(splats, monkeypatch):
     means = read_cloud(splats).means
     select(splats, np.ones(COUNT, bool))
     view = np.eye(4)
@@ -158,6 +160,7 @@ def test_front_side_only(splats):
     front = selected(splats)
     assert front[means[:, 2] > 0.5].mean() > 0.9
     assert front[means[:, 2] < -0.5].mean() < 0.2, "400 splats leave holes"
+    monkeypatch.setattr(select_splats, "_region_view", lambda context: None)
     with pytest.raises(RuntimeError, match="No 3D view"):
         bpy.ops.gskin.select_in_front()
 
@@ -183,3 +186,26 @@ def test_unsure_clusters_one_after_the_other(splats):
     bpy.ops.gskin.select_unsure_splats(worst=10, mode="ADD")
     assert selected(splats).sum() > mask.sum()
     assert names.CONFIDENCE in splats.data.attributes
+
+
+def test_blenders_select_menus_have_them_for_splats_alone(splats):
+    class Layout:
+        def __init__(self):
+            self.drawn = []
+
+        def separator(self):
+            pass
+
+        def operator(self, name):
+            self.drawn.append(name)
+
+    for active, count in ((splats, len(select_menu.OPERATORS)), (bpy.data.objects["Rig"], 0)):
+        bpy.context.view_layer.objects.active = active
+        menu = type("Menu", (), {"layout": Layout()})()
+        select_menu.draw(menu, bpy.context)
+        assert len(menu.layout.drawn) == count
+        for name in menu.layout.drawn:
+            getattr(bpy.ops.gskin, name.removeprefix("gskin.")).get_rna_type()
+    bpy.context.view_layer.objects.active = splats
+    for name in select_menu.MENUS:
+        assert select_menu.draw in getattr(bpy.types, name)._dyn_ui_initialize()

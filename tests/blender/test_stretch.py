@@ -266,7 +266,7 @@ def test_posed_splats_follow_what_else_the_modifiers_do(rig, change):
         np.testing.assert_allclose(drawn.points, cloud.means, atol=1e-5)
         error = apart(covariances(drawn.rotations, drawn.scales), covariances(cloud.quats, cloud.scales))
         assert np.percentile(error, 95) < 1e-3
-        assert shown_wrongly(obj)[0].startswith("Blender's 3D view turns the splats of 'Splats' by vertex groups alone")
+        assert shown_wrongly(obj)[0].startswith("Blender turns the splats of 'Splats' by vertex groups alone")
     assert [o.name for o in bpy.data.objects if o.name.startswith("Splats")] == ["Splats"]
 
 

@@ -14,6 +14,7 @@ from gskin_addon.core.files import write_json
 from gskin_addon.core.guidance.control import make_signals
 from gskin_addon.core.guidance.mask import dynamic_mask
 from gskin_addon.core.guidance.provider import to_bytes
+from gskin_addon.core.guidance.skeleton_image import project_bones
 from gskin_addon.core.render.camera import paper_views
 from gskin_addon.core.render.rasterizer import render_cloud
 from gskin_addon.core.rig.lbs import skin_cloud
@@ -38,6 +39,8 @@ def write_pairs(folder: Path, poses: int = 2, views: int = 2) -> Path:
         arrays[f"mask_{number}"] = encode_image(dynamic_mask(rests[signal.view], posed))
         arrays[f"handles_{number}"] = signal.handles.astype(np.float32)
         arrays[f"targets_{number}"] = signal.targets.astype(np.float32)
+        bones = project_bones(limb.skeleton, signal.transforms, signal.camera)
+        arrays[f"bones_{number}"], arrays[f"bone_{number}"] = np.stack([bones.rest, bones.posed]), bones.bone
     (folder / SHARDS).mkdir(parents=True)
     np.savez(folder / SHARDS / "limb.npz", **arrays)
     shards = [

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The compared methods by name: one file each, and one line here.
 
-`ours:<init>+<guidance>` is the whole job; `ours:default` the job with the settings that a new user has. `<init>`
-may carry a preset: `ours:visibility+elastic@draft`.
+`file:<name>` reads weights from a folder (`from_file.py`). `ours:<init>+<guidance>` is the whole job; `ours:default`
+the job with the settings that a new user has. `<init>` may carry a preset: `ours:visibility+elastic@draft`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,10 @@ METHODS = {
     "bbw": "bbw",
     "oracle": "job",
 }
-"""Name -> module, which has `create(name) -> Method`. Names that begin with `ours:` belong to `job`."""
+"""Name -> module, which has `create(name) -> Method`."""
+
+PREFIXES = {"ours": "job", "file": "from_file", "job": "variant"}
+"""What a name begins with, before a colon -> module."""
 
 DESCRIPTIONS = {
     "initial": "the paper's initial weights (Eq. 7, visibility)",
@@ -45,7 +48,8 @@ def create_method(name: str) -> Method:
     Raises:
         ValueError: there is none of that name. Unavailable: it exists, but not here.
     """
-    module = "job" if name.startswith("ours:") else METHODS.get(name)
+    prefix, colon, _ = name.partition(":")
+    module = PREFIXES.get(prefix) if colon else METHODS.get(name)
     if module is None:
         raise ValueError(f"There is no method '{name}': choose of {', '.join(METHODS)}, ours:<init>+<guidance>.")
     method: Method = import_module(f".{module}", __name__).create(name)

@@ -6,6 +6,8 @@ from __future__ import annotations
 import argparse
 
 AUTO_SCALE = "auto"
+LAST_FRAME = 1048574
+"""Blender's."""
 
 
 def positive(text: str) -> int:
@@ -74,8 +76,16 @@ def unit(text: str) -> float:
     return value
 
 
+def frame(text: str) -> float:
+    """A frame that Blender has, or a place between two."""
+    value = float(text)
+    if not -LAST_FRAME <= value <= LAST_FRAME:
+        raise argparse.ArgumentTypeError(f"{text} is not in -{LAST_FRAME}..{LAST_FRAME}")
+    return value
+
+
 # argparse names the converter in its message
 positive.__name__, seed.__name__, unit.__name__ = "whole number", "whole number", "number"
 count.__name__ = "whole number"
-scale.__name__ = "auto, or number"
+scale.__name__, frame.__name__ = "auto, or number", "number"
 size.__name__, aspect.__name__, length.__name__ = "whole number", "number", "number"

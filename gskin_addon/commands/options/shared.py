@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from ...core.job.settings import FRONTS
+from .numbers import frame
 
 
 class Parser(argparse.ArgumentParser):
@@ -54,7 +55,7 @@ def posing(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--object", metavar="NAME", help="which splat object, where the file has several")
     parser.add_argument("--action", metavar="NAME", help="the action of the armature to take the pose from")
     parser.add_argument("--slot", metavar="NAME", help="which slot of that action, where several fit the armature")
-    parser.add_argument("--frame", type=float, metavar="F", help="the frame to take the pose from")
+    parser.add_argument("--frame", type=frame, metavar="F", help="the frame to take the pose from")
     parser.add_argument(
         "--rotate",
         action="append",

@@ -56,13 +56,20 @@ def add(commands: Any) -> None:
     pairs.add_argument("--seed", type=seed, default=0, metavar="N", help="same seed, same pairs (default: 0)")
     tune = steps.add_parser(
         "tune",
-        help="fine-tune LightningDrag weights on image pairs",
-        description="Fine-tune LightningDrag weights on image pairs. The same command goes on where a stopped one was.",
+        help="fine-tune LightningDrag or FLUX.2 [klein] on image pairs",
+        description="Fine-tune LightningDrag weights, or train a LoRA of FLUX.2 [klein], on image pairs. The same "
+        "command goes on where a stopped one was.",
         allow_abbrev=False,
     )
     tune.set_defaults(needs=("torch", "diffusers", "accelerate"), extra="gskin_addon[worker,diffusion]")
     tune.add_argument("pairs", type=Path, metavar="PAIRS", help="what `train-guidance pairs` wrote")
     tune.add_argument("--out", type=Path, required=True, metavar="MODEL", help="folder to write")
+    tune.add_argument(
+        "--model",
+        choices=("lightning_drag", "flux2"),
+        default="lightning_drag",
+        help="the guidance whose model is trained (default: %(default)s)",
+    )
     tune.add_argument(
         "--option", action="append", default=[], metavar="NAME=VALUE", help="a model or a training setting; repeatable"
     )

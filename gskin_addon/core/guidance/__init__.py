@@ -20,6 +20,7 @@ NO_GUIDANCE = "none"
 GUIDANCE = {
     NO_GUIDANCE: "No images: the initial weights as they are, in seconds.",
     "elastic": "Built in: poses the splats as an elastic body that hangs on its bones, and renders that.",
+    "flux2": "Your own FLUX.2 [klein] weights, fine-tuned or not: redraws the rest view by drawn skeletons.",
     "flux_repair": "Your own FLUX.2 [klein] weights (4B: Apache-2.0): repairs renders of the posed splats.",
     "lightning_drag": "Drags the joints with LightningDrag, the paper's diffusion model; you bring its weights.",
     "oracle": "Tests and benchmarks only: poses the splats with weights that are known to be right.",

@@ -25,6 +25,7 @@ from ..rig.lbs import skin_cloud
 from .control import ControlSignal
 from .mask import MASK_VERSION, painting_mask
 from .provider import GuidanceContext, to_bytes
+from .skeleton_image import DrawnBones, project_bones
 
 if TYPE_CHECKING:
     import torch
@@ -38,7 +39,8 @@ class Frame:
     """What a painter sees of one guidance image.
 
     rest, posed (H, W, 3) float32 in [0, 1]: renders at rest, and posed with the current weights; mask (H, W) bool:
-    where it may paint; seed: of all randomness of this image.
+    where it may paint; seed: of all randomness of this image; bones: the skeleton as the view sees it, None where
+    it is not known.
     """
 
     signal: ControlSignal
@@ -46,6 +48,7 @@ class Frame:
     posed: NDArray[np.float32]
     mask: NDArray[np.bool_]
     seed: int
+    bones: DrawnBones | None = None
 
 
 class Painter(Protocol):
@@ -131,7 +134,8 @@ class DiffusionGuidance:
         moved = skin_cloud(context.cloud, context.initial, signal.transforms, rotate_sh=False)
         posed = render_cloud(moved, signal.camera, context.background)[0]
         mask = painting_mask(rest, posed, signal.handles, signal.targets)
-        return Frame(signal, rest, posed, mask, image_seed(context.seed, number))
+        bones = project_bones(context.skeleton, signal.transforms, signal.camera)
+        return Frame(signal, rest, posed, mask, image_seed(context.seed, number), bones)
 
     def _saved_at(self, number: int, signal: ControlSignal) -> Path:
         folder = self._context.checkpoint or Path()

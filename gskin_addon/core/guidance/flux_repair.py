@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import gc
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,7 @@ from .diffusion import (
     generator,
 )
 from .model_files import ModelFiles, find_model, first_line, require, stamp
-from .options import FluxOptions
+from .options import FluxOptions, KleinOptions
 from .provider import GuidanceContext
 
 FILES = ModelFiles(
@@ -66,10 +66,13 @@ The text encoder (8.1) is loaded and freed before them."""
 PER_FRAME = 2.0
 
 
-class FluxPainter:
+class KleinPainter:
     """A loaded pipeline; the prompt is encoded once, and the text encoder dropped after it."""
 
-    def __init__(self, folder: Path, options: FluxOptions) -> None:
+    kind = "Flux2KleinPipeline"
+    """The class of diffusers."""
+
+    def __init__(self, folder: Path, options: KleinOptions) -> None:
         """Raises InputError for files that do not load."""
         import diffusers
 
@@ -81,7 +84,7 @@ class FluxPainter:
         how: dict[str, Any] = {"dtype": dtype, "use_safetensors": True, "local_files_only": True}
         try:
             # The text encoder and the transformer are never in memory together.
-            kind: Any = diffusers.Flux2KleinInpaintPipeline
+            kind: Any = getattr(diffusers, self.kind)
             self._pipeline = kind.from_pretrained(folder, transformer=None, **how)
             self._pipeline.set_progress_bar_config(disable=True)
             self._steps = options.steps or (DISTILLED_STEPS if self._pipeline.config.is_distilled else STEPS)
@@ -98,32 +101,6 @@ class FluxPainter:
             self._pipeline.enable_sequential_cpu_offload(device=self._device)
         else:
             self._pipeline.to(self._device)
-
-    def paint(self, frames: Sequence[Frame], tick: Tick) -> Sequence[NDArray[Any]]:
-        """See Painter."""
-        count, size = len(frames), 2 * self._pipeline.vae_scale_factor
-        height, width = frames[0].mask.shape
-
-        def after_step(pipeline: Any, step: int, time: Any, tensors: dict[str, Any]) -> dict[str, Any]:
-            tick((step + 1) / pipeline.num_timesteps)
-            return {}
-
-        painted = self._pipeline(
-            image=np.stack([frame.posed for frame in frames]),
-            mask_image=_torch_mask([whole_tokens(frame.mask, size) for frame in frames]),
-            image_reference=np.stack([frame.rest for frame in frames]),
-            prompt_embeds=self._prompt.expand(count, -1, -1),
-            negative_prompt_embeds=None if self._empty is None else self._empty.expand(count, -1, -1),
-            height=height,
-            width=width,
-            strength=self._options.strength,
-            num_inference_steps=self._steps,
-            guidance_scale=1.0 if self._empty is None else self._options.guidance_scale,
-            generator=[generator(frame) for frame in frames],
-            output_type="np",
-            callback_on_step_end=after_step,
-        )
-        return list(painted.images)
 
     def _encode(self, offload: str) -> tuple[Any, Any]:
         """Embeddings (1, 512, C) of the prompt and, where guidance needs it, of the empty one; on the device."""
@@ -152,8 +129,49 @@ class FluxPainter:
         import diffusers
 
         kind: Any = diffusers.Flux2Transformer2DModel
-        transformer = kind.from_pretrained(folder, subfolder="transformer", **how)
+        transformer, report = kind.from_pretrained(folder, subfolder="transformer", output_loading_info=True, **how)
+        for complaint, words in (("missing_keys", "lacks the tensor"), ("mismatched_keys", "has another shape of")):
+            if report[complaint]:
+                first = sorted(str(key) for key in report[complaint])[0]
+                raise InputError(f"The transformer in '{folder}' {words} '{first}'; get its files again.")
         self._pipeline.register_modules(transformer=transformer.eval())
+
+
+class FluxPainter(KleinPainter):
+    """Repaints the posed render inside its mask."""
+
+    kind = "Flux2KleinInpaintPipeline"
+
+    def __init__(self, folder: Path, options: FluxOptions) -> None:
+        """See KleinPainter."""
+        super().__init__(folder, options)
+        self._options: FluxOptions = options
+
+    def paint(self, frames: Sequence[Frame], tick: Tick) -> Sequence[NDArray[Any]]:
+        """See Painter."""
+        count, size = len(frames), 2 * self._pipeline.vae_scale_factor
+        height, width = frames[0].mask.shape
+
+        def after_step(pipeline: Any, step: int, time: Any, tensors: dict[str, Any]) -> dict[str, Any]:
+            tick((step + 1) / pipeline.num_timesteps)
+            return {}
+
+        painted = self._pipeline(
+            image=np.stack([frame.posed for frame in frames]),
+            mask_image=_torch_mask([whole_tokens(frame.mask, size) for frame in frames]),
+            image_reference=np.stack([frame.rest for frame in frames]),
+            prompt_embeds=self._prompt.expand(count, -1, -1),
+            negative_prompt_embeds=None if self._empty is None else self._empty.expand(count, -1, -1),
+            height=height,
+            width=width,
+            strength=self._options.strength,
+            num_inference_steps=self._steps,
+            guidance_scale=1.0 if self._empty is None else self._options.guidance_scale,
+            generator=[generator(frame) for frame in frames],
+            output_type="np",
+            callback_on_step_end=after_step,
+        )
+        return list(painted.images)
 
 
 def whole_tokens(mask: NDArray[np.bool_], size: int) -> NDArray[np.bool_]:
@@ -195,6 +213,19 @@ def check_index(folder: Path) -> None:
         )
 
 
+def find_klein(model: str, who: str, *, allow_download: bool, tell: Callable[[str], None]) -> Path:
+    """The folder of a FLUX.2 [klein] pipeline, checked by its names; `who` needs it.
+
+    Raises:
+        InputError: packages or files that are not right. GSkinError: a download that failed.
+    """
+    require("diffusers", who)
+    require("transformers", who)
+    folder = find_model(model, FILES, allow_download=allow_download, tell=tell)
+    check_index(folder)
+    return folder
+
+
 def create(context: GuidanceContext) -> DiffusionGuidance:
     """The provider for `context`; finds and checks the files, and loads them when the first image is made.
 
@@ -202,15 +233,12 @@ def create(context: GuidanceContext) -> DiffusionGuidance:
         InputError: options, packages or files that are not right. GSkinError: a download that failed.
     """
     options = FluxOptions.parse(context.options, "flux_repair")
-    require("diffusers", "The guidance 'flux_repair'")
-    require("transformers", "The guidance 'flux_repair'")
-    folder = find_model(
+    folder = find_klein(
         options.model,
-        FILES,
+        "The guidance 'flux_repair'",
         allow_download=consent.is_given(),
         tell=lambda message: context.tick(0.0, message),
     )
-    check_index(folder)
     _, dtype = compute_device(options.device, options.dtype, half="bfloat16")
     identity = {"provider": "flux_repair", **options.identity(), "dtype": str(dtype), "files": stamp(folder)}
 

@@ -89,27 +89,57 @@ class DiffusionOptions:
 
 
 @dataclass(frozen=True)
-class FluxOptions(DiffusionOptions):
-    """Settings of `flux_repair`.
+class KleinOptions(DiffusionOptions):
+    """Settings of what runs FLUX.2 [klein].
 
     model: folder of a FLUX.2 [klein] pipeline in the diffusers layout, or a hub id, `owner/name` or
-    `owner/name@revision`; prompt: of the repair, with "{subject}" for `subject`; strength: how much of
-    the noise schedule is run, 1 forgets the posed render's pixels inside the mask; guidance_scale: of the prompt,
+    `owner/name@revision`; prompt: what is asked for, with "{subject}" for `subject`; guidance_scale: of the prompt,
     only for undistilled models.
     """
 
     model: str = place()
-    prompt: str = (
-        "The {subject} of the second image in the pose of the first image. Same colours, same materials, intact "
-        "limbs and joints, plain white background."
-    )
+    prompt: str = ""
     subject: str = "character"
-    strength: float = ranged(0.6, 0.01, 1.0)
     guidance_scale: float = ranged(4.0, 1.0, 30.0)
 
     def models_named(self) -> dict[str, str]:
         """See DiffusionOptions."""
         return {"FLUX.2 [klein] model": self.model.strip()}
+
+
+@dataclass(frozen=True)
+class FluxOptions(KleinOptions):
+    """Settings of `flux_repair`.
+
+    strength: how much of the noise schedule is run, 1 forgets the posed render's pixels inside the mask.
+    """
+
+    prompt: str = (
+        "The {subject} of the second image in the pose of the first image. Same colours, same materials, intact "
+        "limbs and joints, plain white background."
+    )
+    strength: float = ranged(0.6, 0.01, 1.0)
+
+
+@dataclass(frozen=True)
+class Flux2Options(KleinOptions):
+    """Settings of `flux2`.
+
+    lora: folder with the LoRA that `train-guidance tune --model flux2` wrote, empty for the model as it is;
+    batch: the pipeline takes the references of one image at a time.
+    """
+
+    prompt: str = (
+        "The {subject} of the first image, moved from the skeleton of the second image to the skeleton of the third "
+        "image. Same colours, same materials, intact limbs and joints, plain white background."
+    )
+    lora: str = place()
+    batch: int = unseen(0, range=(0, 1))
+
+    def models_named(self) -> dict[str, str]:
+        """See DiffusionOptions."""
+        tuned = {"LoRA for FLUX.2 [klein]": self.lora.strip()} if self.lora.strip() else {}
+        return {**super().models_named(), **tuned}
 
 
 @dataclass(frozen=True)
@@ -153,6 +183,7 @@ class LightningDragOptions(DiffusionOptions):
 
 
 PROVIDER_OPTIONS: dict[str, type[DiffusionOptions]] = {
+    "flux2": Flux2Options,
     "flux_repair": FluxOptions,
     "lightning_drag": LightningDragOptions,
 }

@@ -26,10 +26,10 @@ _LARGEST = 512 << 20
 """Bytes of a file that are read, and of the weights that it may unpack to times 4."""
 
 
-def read_rignet(path: Path, *, skin: bool = True) -> WeightsFile:
+def read_rignet(path: Path) -> WeightsFile:
     """Read such a file; bones are the joints, parents first, each with its tail at the middle of its children.
 
-    heads, tails: turned to z up. skin: False where weights are of no interest; they are (0, B) then.
+    heads, tails: turned to z up. The skeleton alone, without weights, is `core/skeleton/joint_text.py`'s.
 
     Raises:
         InputError: missing, no such file, a joint or vertex that does not exist or comes twice, a circle in the tree,
@@ -43,10 +43,10 @@ def read_rignet(path: Path, *, skin: bool = True) -> WeightsFile:
     try:
         with path.open(encoding="utf-8", errors="strict") as file:
             for number, line in enumerate(file, 1):
-                lines.take(number, line.split(), skin)
+                lines.take(number, line.split())
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"'{path}' is no text of a rig ({error}); choose a file as RigNet writes it.") from None
-    return lines.finish(skin)
+    return lines.finish()
 
 
 @dataclass
@@ -62,7 +62,7 @@ class _Lines:
     values: list[float] = field(default_factory=list)
     vertices: list[int] = field(default_factory=list)
 
-    def take(self, number: int, words: list[str], skin: bool) -> None:
+    def take(self, number: int, words: list[str]) -> None:
         """One line, split at spaces."""
         if not words:
             return
@@ -79,8 +79,7 @@ class _Lines:
                     raise ValueError(f"the joint '{rest[1]}' has two parents")
                 self.parents[rest[1]] = rest[0]
             elif kind == "skin" and rest and len(rest) % 2:
-                if skin:
-                    self._skin(int(rest[0]), rest[1::2], [float(value) for value in rest[2::2]])
+                self._skin(int(rest[0]), rest[1::2], [float(value) for value in rest[2::2]])
             else:
                 raise ValueError(f"'{' '.join(words)[:40]}' is no line of a rig")
         except ValueError as error:
@@ -100,7 +99,7 @@ class _Lines:
         self.values += values
         self.vertices.append(vertex)
 
-    def finish(self, skin: bool) -> WeightsFile:
+    def finish(self) -> WeightsFile:
         """All of it, checked."""
         if not self.joints:
             raise self._wrong("it has no joints")
@@ -121,10 +120,7 @@ class _Lines:
         parents = np.where(parents[order] < 0, -1, new[parents[order]])
         heads = heads[order] @ up_rotation("y").T
         names = tuple(np.array(list(self.joints), object)[order])
-        weights = np.zeros((0, len(names)), np.float32)
-        if skin:
-            weights = self._weights(new, place)
-        return WeightsFile(weights, names, heads, tails_of(parents, heads), parents)
+        return WeightsFile(self._weights(new, place), names, heads, tails_of(parents, heads), parents)
 
     def _weights(self, new: Array, place: dict[str, int]) -> Array:
         count = len(self.vertices)

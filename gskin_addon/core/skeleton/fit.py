@@ -23,7 +23,7 @@ from .bird import bird_front, bird_joints
 from .body_shape import body_shape
 from .joints import HUMAN, MIDDLE, QUADRUPED
 from .landmarks import move_to_landmarks
-from .stance import QUARTER, Standing, quarter_turns, slant, stand
+from .stance import QUARTER, Standing, feet_ahead, quarter_turns, slant, stand
 from .votes import VoteNetwork, features, mirrored
 
 Array = NDArray[Any]
@@ -34,8 +34,14 @@ LOOKS = {"-y": 0, "+x": 3, "+y": 2, "-x": 1}
 ALIKE = 0.05
 """Sides count as alike where a joint lies within this share of the diagonal of its twin's mirror image, in the mean."""
 
-UNSURE = 0.06
-"""A fit is unsure where its joints are expected to be off by more than this share of the diagonal."""
+UNSURE = 0.055
+"""A fit is unsure where the votes for its joints lie farther apart than this share of the diagonal, in the mean."""
+
+FEET = 0.03
+"""Where that is not clear for a person, feet decide that reach so much farther, in heights, behind the shins."""
+
+CLEAR = 5.0
+"""It is clear to where a body looks where the best of four turns is ahead of the next by so much, in logits."""
 
 
 @dataclass(frozen=True)
@@ -59,8 +65,8 @@ KINDS = {
 class Fit:
     """skeleton: bones in the body's own frame, in metres: it stands on z = 0, looks along -y, its left is +x; deform
     (B,): bones that splats may follow; placement (4, 4): from that frame to the splats'; joints: by name, in that
-    frame; alike: whether both sides were made mirror images; doubt: the expected error of the joints, a share of
-    the diagonal."""
+    frame; alike: whether both sides were made mirror images; doubt: how far the votes for the joints lie
+    apart, a share of the diagonal; front_sure: whether it is clear to where the body looks."""
 
     kind: str
     skeleton: Skeleton
@@ -69,11 +75,12 @@ class Fit:
     joints: dict[str, Array]
     alike: bool
     doubt: float
+    front_sure: bool = True
 
     @property
     def unsure(self) -> bool:
         """Whether somebody should look, or name landmarks."""
-        return self.doubt > UNSURE
+        return self.doubt > UNSURE or not self.front_sure
 
     def placed(self) -> Skeleton:
         """The deform bones among the splats."""
@@ -118,24 +125,21 @@ def fit_with(
     """`fit` by another network than the one that comes with the add-on."""
     _check_front(front)
     spec = KINDS[kind]
-    standing, turn = _turned(cloud, spec, network, front, tick)
+    standing, turn, clear = _turned(cloud, spec, network, front, tick)
     values = features(standing.shape, standing.scale)
     left, right = network(values), network(mirrored(values))
     tick(0.8)
     flip = np.array([-1.0, 1.0, 1.0])
     found = _named(spec.joints, left.joints * standing.scale, right.joints * flip * standing.scale)
     spread = float(np.concatenate([left.spread, right.spread]).mean()) * standing.scale / standing.diagonal
-    if landmarks:
-        own = {name: turn.T @ np.asarray(at, np.float64) - standing.origin for name, at in landmarks.items()}
-        found = move_to_landmarks(found, own, standing.shape.points)
-    found, shift, same = both_alike(found, standing.diagonal, alike)
+    found, shift, same = _finished(found, standing, turn, alike, landmarks or {})
     surface = standing.shape.points - shift
     skeleton, deform = layouts.build(spec.bones, spec.ends(found, surface))
     placement = np.eye(4)
     placement[:3, :3] = turn
     placement[:3, 3] = turn @ (standing.origin + shift)
     tick(1.0)
-    return Fit(kind, skeleton, deform, placement, found, same, _expected(spread))
+    return Fit(kind, skeleton, deform, placement, found, same, spread, clear)
 
 
 def _fit_bird(
@@ -155,10 +159,7 @@ def _fit_bird(
     standing = stand(turns[quarters], KINDS["bird"].unit)
     turn = (np.linalg.matrix_power(QUARTER, quarters) @ base).T
     found = bird_joints(standing.shape.points)
-    if landmarks:
-        own = {name: turn.T @ np.asarray(at, np.float64) - standing.origin for name, at in landmarks.items()}
-        found = move_to_landmarks(found, own, standing.shape.points)
-    found, shift, same = both_alike(found, standing.diagonal, alike)
+    found, shift, same = _finished(found, standing, turn, alike, landmarks or {})
     skeleton, deform = layouts.build(layouts.BIRD, found)
     placement = np.eye(4)
     placement[:3, :3], placement[:3, 3] = turn, turn @ (standing.origin + shift)
@@ -187,14 +188,44 @@ def both_alike(joints: dict[str, Array], diagonal: float, wanted: bool | None) -
     return own, shift, True
 
 
-def _turned(cloud: SplatCloud, spec: Kind, network: VoteNetwork, front: str, tick: Tick) -> tuple[Standing, Array]:
-    """The body looking along -y, and the rotation (3, 3) from there to how the splats lie."""
+def _finished(
+    found: dict[str, Array], standing: Standing, turn: Array, alike: bool | None, landmarks: Mapping[str, Array]
+) -> tuple[dict[str, Array], Array, bool]:
+    """As `both_alike`, with the limbs brought to landmarks. Where both sides are alike, a landmark of one side holds
+    for the other as well; two that contradict one another leave each side as it is."""
+    diagonal = standing.diagonal
+    own, shift, same = both_alike(found, diagonal, alike)
+    if not landmarks:
+        return own, shift, same
+    flip = np.array([-1.0, 1.0, 1.0])
+    goals: dict[str, Array] = {}
+    for name, at in landmarks.items():
+        goals[name] = turn.T @ np.asarray(at, np.float64) - standing.origin
+    twins = {name: name[:-1] + "LR"[name[-1] == "L"] for name in goals if name[-2:] in (".L", ".R")}
+    off = [np.linalg.norm(goals[name] - shift - flip * (goals[twin] - shift))
+           for name, twin in twins.items() if twin in goals]  # fmt: skip
+    if same and alike is None and max(off, default=0.0) > ALIKE * diagonal:
+        own, shift, same = both_alike(found, diagonal, False)
+    goals = {name: goal - shift for name, goal in goals.items()}
+    if same:
+        goals |= {twin: flip * goals[name] for name, twin in twins.items() if twin not in goals}
+    own = move_to_landmarks(own, goals, standing.shape.points - shift)
+    if same:
+        own, further, _ = both_alike(own, diagonal, True)
+        shift = shift + further
+    return own, shift, same
+
+
+def _turned(
+    cloud: SplatCloud, spec: Kind, network: VoteNetwork, front: str, tick: Tick
+) -> tuple[Standing, Array, bool]:
+    """The body looking along -y, the rotation (3, 3) from there to how the splats lie, and whether that is clear."""
     shape = body_shape(cloud)
     tick(0.4)
     if front != "auto":
         quarters = LOOKS[front]
         turned = quarter_turns(shape)[quarters]
-        return stand(turned, spec.unit), np.linalg.matrix_power(QUARTER, quarters).T
+        return stand(turned, spec.unit), np.linalg.matrix_power(QUARTER, quarters).T, True
     angle = slant(shape.points)
     base = _about_z(angle)
     if angle:
@@ -203,7 +234,11 @@ def _turned(cloud: SplatCloud, spec: Kind, network: VoteNetwork, front: str, tic
     standings = [stand(turned, spec.unit) for turned in quarter_turns(shape)]
     looks = [_fits(network, standing) for standing in standings]
     best = int(np.argmax(looks))
-    return standings[best], (np.linalg.matrix_power(QUARTER, best) @ base).T
+    clear = looks[best] - sorted(looks)[-2] > CLEAR
+    opposite = (best + 2) % 4
+    if not clear and looks[opposite] == sorted(looks)[-2] and spec.unit == "height":
+        best = opposite if feet_ahead(standings[best]) < -FEET else best
+    return standings[best], (np.linalg.matrix_power(QUARTER, best) @ base).T, bool(clear)
 
 
 def _check_front(front: str) -> None:
@@ -235,11 +270,6 @@ def _named(names: tuple[str, ...], left: Array, right: Array) -> dict[str, Array
         else:
             found[f"{name}.L"], found[f"{name}.R"] = left[number], right[number]
     return found
-
-
-def _expected(spread: float) -> float:
-    """The expected error of the joints from the spread of their votes, shares of the diagonal."""
-    return spread
 
 
 @cache

@@ -8,6 +8,7 @@ Nothing is left behind: files are saved with ellipsoids, and they come back wher
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import bpy
 
@@ -54,11 +55,12 @@ def is_native(modifier: bpy.types.NodesModifier) -> bool:
 def shows_engine() -> bool:
     """Whether any 3D view is in Material Preview or Rendered: an object is the same in all views, and there Blender's
     own splats stand in the light of the scene."""
-    return any(
-        area.type == "VIEW_3D" and area.spaces.active.shading.type in {"MATERIAL", "RENDERED"}
-        for window in bpy.context.window_manager.windows
-        for area in window.screen.areas
-    )
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            space: Any = area.spaces.active
+            if area.type == "VIEW_3D" and space.shading.type in {"MATERIAL", "RENDERED"}:
+                return True
+    return False
 
 
 def is_out_of_date() -> bool:

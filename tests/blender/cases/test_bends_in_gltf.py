@@ -76,6 +76,30 @@ def test_a_fabric_under_the_splats_comes_back(tmp_path):
     assert len(obj.data.polygons) == triangles == 2
 
 
+def test_what_nodes_would_have_to_shear_stands_free_in_poses_and_clips(tmp_path):
+    """Bones, one of them bendy, that do not inherit scale below a stretched one."""
+    obj, armature = bent_rig()
+    segments(armature, 4)
+    armature.data.bones["b3"].inherit_scale, armature.data.bones["b2"].inherit_scale = "NONE", "ALIGNED"
+    bind(obj, armature, sharpness=15.0)
+    bend(armature)
+    for frame, size in ((1, 1.0), (9, 1.8)):
+        fig.key(armature, "scale", {frame: (0.8, size, 1.1)}, armature.pose.bones["b1"])
+    for bone in armature.pose.bones:
+        bone.keyframe_insert("rotation_quaternion", frame=1)
+    scene = bpy.context.scene
+    scene.frame_set(9)
+    before = whole_file(obj, armature)
+    sentences = export_glb(tmp_path / "out.glb", [obj], posed=True)
+    assert not [sentence for sentence in sentences if "shear" in sentence]
+    assert whole_file(obj, armature) == before
+    glb = Glb(tmp_path / "out.glb")
+    assert off(glb.posed(glb.node("Splats")), obj) < SAME
+    for frame in (1, 5, 9):
+        scene.frame_set(frame)
+        assert off(glb.posed(glb.node("Splats"), (frame - 1) / scene.render.fps), obj) < SAME, frame
+
+
 def test_clips_bend(tmp_path):
     obj, armature = bent_rig()
     segments(armature, 4)
@@ -106,6 +130,27 @@ def test_it_comes_back_with_all_its_joints(tmp_path):
     steps = import_steps(tmp_path / "out.glb", ImportOptions(), None, scene, scene.collection)
     found = posed_cloud(run_to_end(steps).object).means
     assert np.abs(found - means).max() < 1e-3 * np.ptp(means, axis=0).max()
+
+
+def test_bones_of_linked_data_bend_too(tmp_path):
+    """The armature object is the file's own, its bones are a library's."""
+    fig.empty()
+    fig.add_rig().data.bones["arm.L"].bbone_segments = 5
+    fig.save(tmp_path / "library.blend")
+    fig.empty()
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, found):
+        found.armatures = ["Rig"]
+    armature = bpy.data.objects.new("Rig", found.armatures[0])
+    bpy.context.scene.collection.objects.link(armature)
+    bpy.context.view_layer.update()
+    obj = fig.add_splats(armature)
+    armature.pose.bones["hand.L"].rotation_quaternion = (0.8, 0.6, 0, 0)
+    armature.pose.bones["arm.L"].rotation_quaternion = (0.8, 0, 0, 0.6)
+    bpy.context.view_layer.update()
+    assert export_glb(tmp_path / "out.glb", [obj], posed=True) == []
+    glb = Glb(tmp_path / "out.glb")
+    assert off(glb.posed(glb.node("fig")), obj) < SAME
+    assert armature.data == found.armatures[0]
 
 
 def test_a_rig_that_cannot_be_changed_is_said(tmp_path, monkeypatch):

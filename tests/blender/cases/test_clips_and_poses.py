@@ -82,6 +82,25 @@ def test_a_bone_without_keys_stands_as_posed_and_is_at_rest_in_clips(tmp_path, c
     np.testing.assert_allclose(in_clip, by_action, atol=1e-4)
 
 
+@pytest.mark.parametrize("which", ["splats", "parent", "armature's parent"])
+def test_splats_that_move_as_an_object_are_said(which, tmp_path, capfd):
+    def change(splats, armature):
+        fig.wave(armature, "Wave")
+        moved = splats if which == "splats" else fig.add_empty("Cart")
+        if which == "parent":
+            splats.parent = moved
+        elif which != "splats":
+            armature.parent = moved
+        else:
+            splats.parent = None
+        fig.key(moved, "location", {1: (0, 0, 0), 10: (0, 1, 0)}, name="Move")
+
+    source = fig.rigged(tmp_path / "in.blend", change)
+    assert fig.run("pose", source, "--out", tmp_path / "out.glb") == 0
+    said = capfd.readouterr().err
+    assert ("Warning: glTF moves skinned splats by their joints alone" in said) == (which != "armature's parent")
+
+
 def test_stretched_time_is_said(tmp_path, capfd):
     def change(splats, armature):
         fig.wave(armature, "Wave")

@@ -111,7 +111,11 @@ def test_posed_splats_lie_where_blender_puts_them(change, tmp_path, capfd):
         assert "Warning" not in said
 
 
-def test_what_gltf_would_have_to_shear_is_said(tmp_path, capfd):
+def test_what_gltf_cannot_shear_is_said(tmp_path, capfd, monkeypatch):
+    """Of a rig to which no stand-ins can be added."""
+    monkeypatch.setattr("gskin_addon.scene.gltf_bends.can_be_joints", lambda armature: False)
+    monkeypatch.setattr("gskin_addon.scene.gltf_export.can_be_joints", lambda armature: False)
+
     def change(splats, armature):
         armature.data.bones["arm.L"].inherit_scale = "NONE"
         turned = {1: (0.9, 0.3, 0.1, 0)}
@@ -215,3 +219,36 @@ def test_frames_may_be_negative_and_lie_between_two(tmp_path):
     assert away.max() > 0.03
     assert (np.linalg.norm(middle - low, axis=1) < 0.6 * away + 1e-6).all()
     assert (np.linalg.norm(middle - high, axis=1) < 0.6 * away + 1e-6).all()
+
+
+def test_splats_of_another_scene_are_not_said_to_be_missing(tmp_path, capfd):
+    def change(splats, armature):
+        bpy.context.window.scene = bpy.data.scenes.new("Empty")
+
+    source = fig.rigged(tmp_path / "in.blend", change)
+    assert fig.run("pose", source, "--out", tmp_path / "out.ply", *fig.TURN) == 2
+    assert "has splats, 'fig', in its scene 'Scene' and was saved in 'Empty'" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--frame", "nan"), "nan is not in -1048574..1048574"),
+        (("--frame", "1e12"), "1e12 is not in"),
+        (("--rotate", "arm.L", "0", "inf", "0"), "the angles must be three numbers in degrees"),
+        (("--set", "arm.L", "p", "nan"), "the value must be a number"),
+    ],
+)
+def test_numbers_that_are_none_are_refused(arguments, words, tmp_path, capfd):
+    assert fig.run("pose", fig.rigged(tmp_path / "in.blend"), "--out", tmp_path / "out.ply", *arguments) == 2
+    assert words in capfd.readouterr().err
+
+
+def test_a_modifier_that_makes_points_is_refused_with_the_splats_name(tmp_path, capfd):
+    def change(splats, armature):
+        splats.modifiers.new("Mirror", "MIRROR")
+        splats.modifiers.move(len(splats.modifiers) - 1, 0)
+
+    source = fig.rigged(tmp_path / "in.blend", change)
+    assert fig.run("pose", source, "--out", tmp_path / "out.ply", *fig.TURN) == 2
+    assert "'fig' has 120 splats, and its modifiers make 239 points of them" in capfd.readouterr().err

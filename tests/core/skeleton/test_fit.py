@@ -12,9 +12,10 @@ import pytest
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.rig.mirror import mirrored_name
 from gskin_addon.core.skeleton import layouts
+from gskin_addon.core.skeleton.body_shape import body_shape
 from gskin_addon.core.skeleton.fit import fit
 from gskin_addon.core.skeleton.landmarks import move_to_landmarks
-from gskin_addon.core.skeleton.stance import slant
+from gskin_addon.core.skeleton.stance import feet_ahead, quarter_turns, slant, stand
 from gskin_addon.core.splats.cloud import SplatCloud
 
 
@@ -84,6 +85,22 @@ def test_landmarks_bring_the_ends_of_limbs_there(person):
         move_to_landmarks(plain.joints, {"hand.X": goal}, person.means)
 
 
+def test_a_landmark_of_one_side_holds_for_the_other_where_both_are_alike(person):
+    goal = np.array([0.62, -0.1, 1.1])
+    found = fit("human", person, front="-y", landmarks={"hand.L": goal})
+    assert found.alike
+    joints = placed_joints(found)
+    np.testing.assert_allclose(joints["wrist.R"] * [-1, 1, 1], joints["wrist.L"], atol=0.05)  # its plane is near x = 0
+    plain = placed_joints(fit("human", person, front="-y"))
+    assert joints["wrist.L"][2] > plain["wrist.L"][2] + 0.05
+    np.testing.assert_allclose(joints["knee.R"], plain["knee.R"], atol=1e-6)
+
+
+def test_landmarks_that_contradict_one_another_leave_the_sides_apart(person):
+    goals = {"hand.L": np.array([0.62, -0.1, 1.1]), "hand.R": np.array([-0.3, -0.4, 1.5])}
+    assert not fit("human", person, front="-y", landmarks=goals).alike
+
+
 def test_what_cannot_be_fitted_says_so(person):
     with pytest.raises(InputError, match="'fish' is no kind of skeleton; choose one of human"):
         fit("fish", person)
@@ -150,3 +167,9 @@ def test_a_birds_ends_lie_at_its_ends_and_it_always_wants_looking_at(front):
     for side, sign in (("L", 1), ("R", -1)):
         assert np.linalg.norm(skeleton.heads[place[f"toe.{side}"]] - [sign * 0.08, 0.06, 0.0]) < 0.08
         assert 0.3 < skeleton.heads[place[f"thigh.{side}"], 2] < 0.62
+
+
+def test_feet_reach_to_the_front(person):
+    ahead = [feet_ahead(stand(turn, "height")) for turn in quarter_turns(body_shape(person))]
+    assert ahead[0] > 0.03
+    assert ahead[2] == pytest.approx(-ahead[0], abs=0.01)

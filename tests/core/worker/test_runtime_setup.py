@@ -40,7 +40,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="the fake pip knows t
 
 FAKE = Path(__file__).resolve().parents[2] / "helpers" / "fake_runtime_setup.py"
 CPU = Choice(BACKENDS["cpu"])
-ALL = ["torch", "numba", "scipy", "safetensors", "pillow", "diffusers", "transformers", "accelerate", "numpy"]
+ALL = ["torch", "numba", "scipy", "safetensors", "pillow", "diffusers", "transformers", "accelerate", "peft", "numpy"]
 
 
 @pytest.fixture

@@ -9,20 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .body_graph import BodyGraph
-from .selection import spacing
 
 Array = NDArray[Any]
 
 NEIGHBOURS = 6
 """Of each splat that are looked at, the nearest first."""
+SOFT = 0.005
+"""Part of the body's diagonal by which a tear begins to be seen."""
 
 
 class StretchMeter:
     """Measures poses of splats with means (N, 3) at rest, metres, the graph of their body, and bones index (N, K) with
     weights value (N, K), which sum to 1; index -1 for none.
 
-    Pairs across walls or gaps are no neighbours. Lengths count from half the usual one, so that splats that all but lie
-    on one another make no large numbers of nothing.
+    Pairs across walls or gaps are no neighbours. To all lengths `SOFT` of the body's diagonal is added: splats lie so
+    close that moves which nobody sees would be many times their distance.
     """
 
     def __init__(self, means: Array, graph: BodyGraph, index: Array, value: Array) -> None:
@@ -34,7 +35,7 @@ class StretchMeter:
         self.first, self.second = pairs[:, 0], pairs[:, 1]
         self.means = np.asarray(means, np.float32)
         self.index, self.value = np.asarray(index), np.asarray(value, np.float32)
-        self.soft = np.float32(0.5 * spacing(graph))
+        self.soft = np.float32(SOFT * float(np.linalg.norm(np.ptp(self.means, axis=0))))
         self.rest = self._lengths(self.means) + self.soft
 
     def _lengths(self, points: Array) -> Array:

@@ -51,13 +51,13 @@ def tune(
     data = PairDataset(pairs)
     check_size(data.size, data.size)
     files = find_files(options, lambda message: report(0.0, message), allow_download=allow_download)
-    training = Training(options, files, data, _validation_pairs(pairs), _identity(options, files, pairs), out)
+    training = Training(options, files, data, validation_pairs(pairs), _identity(options, files, pairs), out)
     if not training.is_finished():
         out.mkdir(parents=True, exist_ok=True)
         training.prepare(report)
         training.run(report)
     report(1.0, "finished")
-    return _sentence(read_table(out / FINE_TUNED), out)
+    return summary(read_table(out / FINE_TUNED), out)
 
 
 class Training:
@@ -248,7 +248,8 @@ class Training:
             write_checkpoint(self._model, self._out, self._files.lightning_drag, facts)
 
 
-def _validation_pairs(pairs: Path) -> PairDataset | None:
+def validation_pairs(pairs: Path) -> PairDataset | None:
+    """The held-out pairs of a data set, None where it has none."""
     has = any(shard["split"] == VALIDATION for shard in read_manifest(pairs)["shards"])
     return PairDataset(pairs, VALIDATION) if has else None
 
@@ -266,7 +267,8 @@ def _identity(options: TuneOptions, files: Files, pairs: Path) -> dict[str, Any]
     }
 
 
-def _sentence(facts: Mapping[str, Any], out: Path) -> str:
+def summary(facts: Mapping[str, Any], out: Path) -> str:
+    """A sentence on a training that is finished, from its `fine_tuned.json`."""
     before, after = (facts["validation"].get(when) for when in ("before", "after"))
     if not before or not after:
         return f"'{out}' was fine-tuned by {facts['updates']:,} updates; there were no pairs to validate on."

@@ -18,6 +18,7 @@ from ...files import write_arrays, write_json
 from ...guidance.control import make_signals
 from ...guidance.mask import dynamic_mask, painting_mask
 from ...guidance.provider import to_bytes
+from ...guidance.skeleton_image import project_bones
 from ...render.camera import PAPER_AZIMUTHS, paper_views, percentile_bounds
 from ...render.rasterizer import render_cloud
 from ...rig.lbs import skin_cloud
@@ -163,6 +164,9 @@ def _shard(
         arrays[f"rest_{view}"] = encode_image(pair.rest)
         arrays[f"posed_{number}"], arrays[f"mask_{number}"] = encode_image(pair.posed), encode_image(pair.mask)
         arrays[f"handles_{number}"], arrays[f"targets_{number}"] = pair.handles, pair.targets
+        if pair.bones is not None:
+            arrays[f"bones_{number}"] = np.stack([pair.bones.rest, pair.bones.posed])
+            arrays[f"bone_{number}"] = pair.bones.bone
     return {**arrays, "view": np.array(views, np.int16)}
 
 
@@ -210,6 +214,7 @@ class PairScene:
                     signal.targets.astype(np.float32),
                     asset.name,
                     view,
+                    project_bones(asset.skeleton, signal.transforms, camera),
                 )
         return None
 

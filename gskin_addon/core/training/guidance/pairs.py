@@ -5,7 +5,8 @@ A data set is a folder:
     manifest.json      {"version", "settings", "assets": [name, family, split, licence, author], "shards": [...]};
                        lists what is finished, so a killed run goes on behind it
     shards/NAME.npz    pairs of one asset: rest_V (PNG of view V), and per pair P posed_P, mask_P (PNG), handles_P and
-                       targets_P (K, 2) pixel positions (x, y); view (P,)
+                       targets_P (K, 2) pixel positions (x, y); view (P,); since 0.2.0 also the skeleton of pair P,
+                       bones_P (2, S, 2, 3) and bone_P (S,): `DrawnBones`, at rest and posed
 Reading needs numpy and Pillow only.
 """
 
@@ -23,6 +24,7 @@ from numpy.typing import NDArray
 
 from ...errors import InputError
 from ...files import is_plain_name, read_arrays
+from ...guidance.skeleton_image import DrawnBones
 from .split import TRAIN
 
 VERSION = 1
@@ -32,7 +34,8 @@ MANIFEST, SHARDS = "manifest.json", "shards"
 @dataclass(frozen=True)
 class Pair:
     """rest, posed (H, W, 3) uint8 sRGB; mask (H, W) bool, where a model may paint; handles, targets (K, 2) float32
-    pixel positions (x, y) of the displaced joints; asset: its name; view: index of the camera."""
+    pixel positions (x, y) of the displaced joints; asset: its name; view: index of the camera; bones: the skeleton as
+    the camera sees it, None in pairs of an older gskin."""
 
     rest: NDArray[np.uint8]
     posed: NDArray[np.uint8]
@@ -41,6 +44,7 @@ class Pair:
     targets: NDArray[np.float32]
     asset: str
     view: int
+    bones: DrawnBones | None = None
 
 
 class PairDataset:
@@ -76,11 +80,13 @@ class PairDataset:
         try:
             view = int(np.atleast_1d(read_arrays(path, ["view"])["view"])[inside])
             names = [f"rest_{view}", *(f"{what}_{inside}" for what in ("posed", "mask", "handles", "targets"))]
-            *images, handles, targets = read_arrays(path, names).values()
+            arrays = read_arrays(path, names, optional := [f"bones_{inside}", f"bone_{inside}"])
+            bones = _bones(*(arrays.pop(name) for name in optional)) if arrays.keys() >= set(optional) else None
+            *images, handles, targets = (arrays[name] for name in names)
             rest, posed, mask = (decode_image(image) for image in images)
         except (OSError, ValueError, TypeError, IndexError, SyntaxError) as error:
             raise InputError(f"The shard '{path}' is damaged ({error}); delete it and make the pairs again.") from None
-        return Pair(rest, posed, mask, handles, targets, shard["asset"], view)
+        return Pair(rest, posed, mask, handles, targets, shard["asset"], view, bones)
 
     def __iter__(self) -> Iterator[Pair]:
         return (self[number] for number in range(len(self)))
@@ -117,6 +123,12 @@ def _is_shard(shard: Any) -> bool:
         and shard["pairs"] >= 0
         and is_plain_name(shard["file"])
     )
+
+
+def _bones(places: NDArray[Any], bone: NDArray[Any]) -> DrawnBones:
+    if places.shape != (2, len(bone), 2, 3) or not np.issubdtype(bone.dtype, np.integer):
+        raise ValueError("its bones do not fit together")
+    return DrawnBones(places[0], places[1], bone)
 
 
 def encode_image(image: NDArray[Any]) -> NDArray[np.uint8]:

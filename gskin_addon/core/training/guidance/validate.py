@@ -91,7 +91,7 @@ def _frame(pair: Pair, place: int, seed: int) -> Frame:
         place, camera, np.zeros((0, 4, 4)), pair.handles.astype(np.float64), pair.targets.astype(np.float64)
     )
     rest = pair.rest.astype(np.float32) / 255
-    return Frame(signal, rest, rest, pair.mask, seed)
+    return Frame(signal, rest, rest, pair.mask, seed, pair.bones)
 
 
 def load_lpips(path: str) -> Callable[[NDArray[Any], NDArray[Any]], float]:

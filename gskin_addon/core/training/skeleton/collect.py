@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,6 +19,9 @@ from .examples import Example, change_person, change_quadruped, feet_on_legs, ma
 
 FEWEST = 9
 """Joints that the names of a rig must tell."""
+
+CATEGORY = {"human": "humanoid", "quadruped": "animal"}
+"""What a catalogue that knows categories calls them; walking machines and monsters have bones of people, too."""
 
 LEFT_OUT = ("ray_greenman", "mtg_character", "q_easy_enemies_Frog")
 """Bodies that are no person and no quadruped, though their bones are called so: a round one, a box, a sitting frog."""
@@ -44,8 +48,11 @@ def subjects(folder: Path, kind: str) -> list[Subject]:
         InputError: there is no such folder, or no such asset in it.
     """
     found = []
+    kinds = _categories(folder)
     for asset in list_assets(folder, any_licence=True):
         if asset.name in LEFT_OUT or not asset.path.is_file():
+            continue
+        if kinds.get(asset.name, CATEGORY[kind]) != CATEGORY[kind]:
             continue
         mesh = read_rigged_mesh(asset.path)
         if kind == "human":
@@ -66,6 +73,15 @@ def subjects(folder: Path, kind: str) -> list[Subject]:
     if not found:
         raise InputError(f"'{folder}' has no rigged {kind} whose bones' names are known; name a folder with some.")
     return found
+
+
+def _categories(folder: Path) -> dict[str, str]:
+    """The category of each asset, where the folder's catalogue has such."""
+    catalog = folder / "catalog.json"
+    if not catalog.is_file():
+        return {}
+    entries = json.loads(catalog.read_text(encoding="utf-8"))["assets"]  # list_assets has found it sound
+    return {str(entry["name"]): str(entry["category"]) for entry in entries if "category" in entry}
 
 
 def examples_of(

@@ -29,6 +29,7 @@ from gskin_addon.core.guidance.lightning_drag.weights import (
 )
 from gskin_addon.core.guidance.model_files import load_tensors
 from gskin_addon.core.guidance.options import LightningDragOptions
+from gskin_addon.core.training.guidance.tune_state import write_checkpoint
 from tests.helpers.tiny_lightning import CLIP_WIDTH, CONTEXT, POINT_WIDTH, kohya_lora, tiny_unet
 
 ENCODER = "lightning_drag/appearance_encoder/diffusion_pytorch_model.safetensors"
@@ -318,6 +319,16 @@ def test_the_appearance_encoders_config_may_hold_anything(mine):
         assert state.keys() == weights.keys()
         assert all(torch.equal(state[key], weights[key]) for key in weights)
     load_all(mine, scheduler="ddim")
+
+
+def test_a_checkpoint_without_that_config_is_trained_and_taken(mine, tmp_path):
+    (mine / "lightning_drag/appearance_encoder/config.json").unlink()
+    model = load_all(mine, scheduler="ddim")
+    write_checkpoint(model, tmp_path / "tuned", mine / "lightning_drag", {"max_points": 0})
+    again = load_all(mine, scheduler="ddim", lightning_drag=str(tmp_path / "tuned"))
+    for ours, theirs in ((model.appearance, again.appearance), (model.processors, again.processors)):
+        for key, tensor in ours.state_dict().items():
+            assert torch.equal(theirs.state_dict()[key], tensor), key
 
 
 def test_models_that_do_not_belong_together_are_refused(mine):
