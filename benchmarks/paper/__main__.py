@@ -97,6 +97,8 @@ def _run(
 ) -> dict[str, str]:
     """Run what the store lacks; method -> why it was left out."""
     rows = list(dict.fromkeys((row.case, row.method) for table in wanted for row in table.rows))
+    unnamed = {m for _, m in rows if m.startswith(from_file.PREFIX) and from_file.folder_of(m) is None}
+    rows = [(case, method) for case, method in rows if method not in unnamed]
     tasks = []
     for asset in assets:
         for case in dict.fromkeys(case for case, _ in rows):
@@ -121,6 +123,9 @@ def _run(
         tasks, protocol, options.out, jobs=options.jobs, lpips=options.lpips, report=report,
         missing=lambda method, why: missing.setdefault(method, why),
     )  # fmt: skip
+    for method in sorted(unnamed):
+        name = method.removeprefix(from_file.PREFIX)
+        missing[method] = f"no folder was given (`--method-weights {name}=FOLDER`)"
     return missing
 
 

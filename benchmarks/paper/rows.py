@@ -31,13 +31,27 @@ class Table:
     rows: tuple[Row, ...]
 
 
+THIRD_PARTY: dict[str, tuple[str, tuple[float, float, float] | None]] = {
+    "unirig": ("UniRig", (25.61, 0.959, 0.0478)),
+    "puppeteer": ("Puppeteer", (26.19, 0.963, 0.0475)),
+    "mia": ("MIA", None),
+}
+"""Methods of the paper that do not run here, by the name that `--method-weights` knows them by in small letters: title,
+and the paper's PSNR, SSIM, LPIPS in Table II."""
+
+
 def tables(guidance: str, preset: str, given: Sequence[str]) -> list[Table]:
     """All tables. guidance, preset: of our jobs, which start from the paper's initial weights; given: methods of
     `methods.from_file`."""
     ours = f"job:init=visibility,guidance={guidance},preset={preset}"
-    others = [Row(name.removeprefix("file:"), name) for name in given]
-    anchored = [Row(row.title, row.method, ANCHORED) for row in others]
-    balls = [Row(row.title, row.method, ISOTROPIC) for row in others]
+    names = {name.removeprefix("file:").lower(): name for name in given}
+    names |= {key: f"file:{key}" for key in THIRD_PARTY if key not in names}
+    others, anchored, balls = [], [], []
+    for key, name in names.items():
+        title, paper = THIRD_PARTY.get(key, (name.removeprefix("file:"), None))
+        others.append(Row(title, name))
+        anchored.append(Row(title, name, ANCHORED, paper))
+        balls.append(Row(title, name, ISOTROPIC))
     skeletons = [case for case in DISTURBANCE_TITLES if case != OWN]
     return [
         Table("vanilla", "Table II with vanilla splats", (
