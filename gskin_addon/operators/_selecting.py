@@ -3,17 +3,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Any
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import GSkinError
-from ..scene.cleanup import begin_selecting
+from ..scene.cleanup import out_of_edit_mode
 from ..scene.selecting import active_splat, enter_edit_mode, hidden_now, mark_selected, selected_now
+from ..scene.steps import Steps, part_of
 from ..session.chosen import chosen_splats
+from ._sliced import Sliced
 
 Mask = NDArray[np.bool_]
 
@@ -25,15 +26,13 @@ WAYS = [
 ]
 
 
-class SelectSplats:
+class SelectSplats(Sliced):
     """Mixin of an operator: `find` says which splats, here they are selected. In Weight Paint with its vertex
     selection, else in Edit Mode."""
 
     bl_options = {"REGISTER", "UNDO"}
 
     mode: bpy.props.EnumProperty(name="Mode", description="What becomes of what is selected", items=WAYS)
-
-    report: Callable[[set[str], str], None]
 
     active: int | None = None
     """The splat that was clicked last in Edit Mode, while `find` runs."""
@@ -45,37 +44,39 @@ class SelectSplats:
             return False
         return True
 
-    def find(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Mask) -> Mask:
-        """(N,) the splats that are meant. selected (N,): now. Raises InputError for options that cannot be used."""
+    def find(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Mask) -> Steps[Mask]:
+        """(N,) the splats that are meant, in slices. selected (N,): now. Raises InputError for options that cannot be
+        used."""
         raise NotImplementedError
 
     def words(self) -> str:
         """What is to be said besides the number of splats that are selected."""
         return ""
 
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.asked = True
+        return self.execute(context)
+
     def execute(self, context: bpy.types.Context) -> set[str]:
+        return self.begin(context)
+
+    def work(self, context: bpy.types.Context) -> Steps[str]:
         splats = chosen_splats(context)
         mode = splats.mode
-        try:
-            self.active = active_splat(splats)
-            if mode == "WEIGHT_PAINT":
-                splats.data.use_paint_mask_vertex = True
-            else:
-                begin_selecting(context, splats)
+        self.active = active_splat(splats)
+        with nullcontext() if mode == "WEIGHT_PAINT" else out_of_edit_mode(context, splats):
+            yield 0.0  # Blender needs as long to leave Edit Mode as to enter it
             before = selected_now(splats)
-            after = combined(self.mode, before, self.find(context, splats, before)) & ~hidden_now(splats)
-        except GSkinError as error:
-            if splats.mode != mode:
-                bpy.ops.object.mode_set(mode=mode)
-            self.report({"ERROR"}, error.plain)
-            return {"CANCELLED"}
+            found = yield from part_of(self.find(context, splats, before), 0.0, 1.0)
+            after = combined(self.mode, before, found) & ~hidden_now(splats)
+            yield 1.0
         if mode == "WEIGHT_PAINT":
+            splats.data.use_paint_mask_vertex = True
             mark_selected(splats, after)
         else:
             enter_edit_mode(context, splats, after)
         said = f"{after.sum():,} of {len(after):,} splats selected"
-        self.report({"INFO"}, "; ".join(filter(None, (said, self.words()))))
-        return {"FINISHED"}
+        return "; ".join(filter(None, (said, self.words())))
 
 
 def combined(way: str, before: Mask, found: Mask) -> Mask:

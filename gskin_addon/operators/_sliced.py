@@ -17,7 +17,7 @@ BUDGET = 0.05
 
 
 class Sliced:
-    """Mixin of an operator: `steps` does the work and returns the sentence to say, if any. `begin` runs it: at once for
+    """Mixin of an operator: `work` does it and returns the sentence to say, if any. `begin` runs it: at once for
     scripts and without a window, else between redraws, where Esc cancels."""
 
     bl_label: str
@@ -28,21 +28,24 @@ class Sliced:
     _steps: Steps[str] | None = None
     _timer: bpy.types.Timer | None = None
 
-    def steps(self, context: bpy.types.Context) -> Steps[str]:
+    def work(self, context: bpy.types.Context) -> Steps[str]:
         """The work; what it raises as GSkinError is said."""
         raise NotImplementedError
 
-    def begin(self, context: bpy.types.Context) -> set[str]:
-        """For `execute`."""
-        self._steps = self.steps(context)
-        if not self.asked or bpy.app.background or context.window is None:
+    def begin(self, context: bpy.types.Context, *, modal: bool = False) -> set[str]:
+        """For `execute`, and where the operator is `modal` already, for that."""
+        self._steps = self.work(context)
+        # What is done again from Adjust Last Operation is the same operator, and nobody clicked.
+        asked, self.asked = self.asked, False
+        if not asked or bpy.app.background or context.window is None:
             try:
                 return self._said(run_to_end(self._steps))
             except GSkinError as error:
                 return self._failed(error)
         self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
-        operator: object = self
-        context.window_manager.modal_handler_add(operator)  # type: ignore[arg-type]
+        if not modal:
+            operator: object = self
+            context.window_manager.modal_handler_add(operator)  # type: ignore[arg-type]
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:

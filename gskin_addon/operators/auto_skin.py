@@ -18,7 +18,7 @@ from ..core.job.settings import JobSettings
 from ..scene.blender_splats import make_riggable
 from ..scene.bone_frames import armature_of
 from ..scene.cleanup import begin_selecting
-from ..scene.handlers import settle
+from ..scene.handlers import is_unsettled, iter_settle, settle
 from ..scene.steps import Steps, run_for
 from ..scene.weight_edits import selected_splats
 from ..scene.weights import is_edited
@@ -195,16 +195,64 @@ class GSKIN_OT_auto_skin(SkinOperator, bpy.types.Operator):
 
     confirmed: bpy.props.BoolProperty(options={"HIDDEN", "SKIP_SAVE"})
 
+    _settling: Steps[None] | None = None
+    """Changed weights that are taken over before the job starts."""
+
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """As a job starts; weights that were changed by hand are asked about first."""
         splats = chosen_splats(context)
         watched = not bpy.app.background and context.window is not None
-        if splats is not None:
-            settle(splats)  # a hand's last change may not have been noticed yet
-        if watched and not self.confirmed and splats is not None and is_edited(splats):
-            _ours().auto_skin_again("INVOKE_DEFAULT")
-            return {"CANCELLED"}  # the other operator starts this one again
+        if splats is not None and is_unsettled(splats):
+            # A hand's last change may not have been noticed yet.
+            if watched:
+                self._settling = iter_settle(splats)
+                return begin_ticking(self, context, TICK)
+            settle(splats)
+        if watched and self._asks(splats):
+            return {"CANCELLED"}
         return super().invoke(context, event)
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if self._settling is None:
+            return super().modal(context, event)
+        if event.type == "ESC" and event.value == "PRESS":
+            return self._give_up(context)
+        if event.type != "TIMER":
+            return {"RUNNING_MODAL"}
+        try:
+            run_for(self._settling, WRITING)
+        except StopIteration:
+            self._settling = None
+        except Exception:
+            self._give_up(context)
+            raise
+        else:
+            return {"RUNNING_MODAL"}
+        if self._asks(chosen_splats(context)):
+            self._leave(context)
+            return {"CANCELLED"}
+        return {"RUNNING_MODAL"} if self._start(context) else {"CANCELLED"}
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Blender ends the operator: another file is loaded, the window closes."""
+        if self._settling is None:
+            super().cancel(context)
+        else:
+            self._give_up(context)
+
+    def _asks(self, splats: bpy.types.Object | None) -> bool:
+        """Whether the other operator asks first, and starts this one again."""
+        asks = not self.confirmed and splats is not None and is_edited(splats)
+        if asks:
+            _ours().auto_skin_again("INVOKE_DEFAULT")
+        return asks
+
+    def _give_up(self, context: bpy.types.Context) -> set[str]:
+        if self._settling is not None:
+            self._settling.close()
+            self._settling = None
+        self._leave(context)
+        return {"CANCELLED"}
 
 
 class GSKIN_OT_auto_skin_again(bpy.types.Operator):

@@ -50,7 +50,7 @@ class GSKIN_OT_load_weights(Sliced, bpy.types.Operator, ImportHelper):
     def execute(self, context: bpy.types.Context) -> set[str]:
         return self.begin(context)
 
-    def steps(self, context: bpy.types.Context) -> Steps[str]:
+    def work(self, context: bpy.types.Context) -> Steps[str]:
         """Read, write the weights, lay the fabric; only the last slice changes the scene."""
         splats, armature = chosen_splats(context), chosen_armature(context)
         paintable, name = panel_settings(context).paintable, armature.name
@@ -94,7 +94,7 @@ class GSKIN_OT_bind_to_armature(Sliced, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         return self.begin(context)
 
-    def steps(self, context: bpy.types.Context) -> Steps[str]:
+    def work(self, context: bpy.types.Context) -> Steps[str]:
         """Make the fabric, then bind, in the last slice."""
         splats, armature = chosen_splats(context), chosen_armature(context)
         check_splats(splats)

@@ -9,14 +9,16 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import GSkinError, InputError
+from ..core.errors import InputError
 from ..core.skinning.edits.selection import worst_clusters
 from ..scene import names
 from ..scene.attributes import read_attribute
-from ..scene.cleanup import begin_selecting
-from ..scene.selecting import body_of, enter_edit_mode
+from ..scene.cleanup import out_of_edit_mode
+from ..scene.selecting import enter_edit_mode, iter_body_of
+from ..scene.steps import Steps, in_thread
 from ..session.chosen import chosen_splats
 from ._selecting import SelectSplats
+from ._sliced import Sliced
 
 Mask = NDArray[np.bool_]
 
@@ -51,7 +53,8 @@ class GSKIN_OT_select_unsure_splats(SelectSplats, bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         return knows_confidence(cls, context)
 
-    def find(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Mask) -> Mask:
+    def find(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Mask) -> Steps[Mask]:
+        yield 0.0
         confidence = read_attribute(splats.data, names.CONFIDENCE)
         unsure = least(confidence, self.worst / 100) | (confidence < self.below)
         self._bound = f"none surer than {float(confidence[unsure].max(initial=0.0)):.0%}" if unsure.any() else ""
@@ -61,7 +64,7 @@ class GSKIN_OT_select_unsure_splats(SelectSplats, bpy.types.Operator):
         return self._bound
 
 
-class GSKIN_OT_next_unsure_cluster(bpy.types.Operator):
+class GSKIN_OT_next_unsure_cluster(Sliced, bpy.types.Operator):
     """Select the next group of splats that hang together and are the least sure, the worst first, and show it in the
     3D view"""
 
@@ -87,13 +90,21 @@ class GSKIN_OT_next_unsure_cluster(bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         return knows_confidence(cls, context)
 
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.asked = True
+        return self.execute(context)
+
     def execute(self, context: bpy.types.Context) -> set[str]:
+        return self.begin(context)
+
+    def work(self, context: bpy.types.Context) -> Steps[str]:
         splats = chosen_splats(context)
         uid = splats.data.session_uid
-        try:
-            begin_selecting(context, splats)
+        with out_of_edit_mode(context, splats):
+            yield 0.0
             confidence = read_attribute(splats.data, names.CONFIDENCE)
-            clusters = worst_clusters(body_of(splats), confidence, self.worst / 100)
+            graph, share = (yield from iter_body_of(splats)), self.worst / 100
+            clusters = yield from in_thread(lambda: worst_clusters(graph, confidence, share))
             if not clusters:
                 raise InputError(f"The least sure splats of '{splats.name}' form no groups; take a larger part.")
             if not self.number:
@@ -102,19 +113,15 @@ class GSKIN_OT_next_unsure_cluster(bpy.types.Operator):
             rows = clusters[self.number - 1]
             mask = np.zeros(len(confidence), np.bool_)
             mask[rows] = True
-        except GSkinError as error:
-            self.report({"ERROR"}, error.plain)
-            return {"CANCELLED"}
+            yield 1.0
         _last.clear()
         _last[uid] = self.number
         enter_edit_mode(context, splats, mask)
         _frame(context)
-        self.report(
-            {"INFO"},
+        return (
             f"Cluster {self.number} of {len(clusters)}: {len(rows):,} splats, {confidence[rows].mean():.0%} sure in "
-            "the mean",
+            "the mean"
         )
-        return {"FINISHED"}
 
 
 _last: dict[int, int] = {}

@@ -35,7 +35,7 @@ class GSKIN_OT_make_paintable(Sliced, bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         return self.begin(context)
 
-    def steps(self, context: bpy.types.Context) -> Steps[str]:
+    def work(self, context: bpy.types.Context) -> Steps[str]:
         splats = chosen_splats(context)
         mode = splats.mode
         begin_selecting(context, splats)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import Any
 
 import bpy
@@ -10,15 +11,17 @@ import numpy as np
 from bpy_extras import view3d_utils
 from numpy.typing import NDArray
 
-from ..core.errors import GSkinError, InputError
+from ..core.errors import InputError
 from ..scene import names
 from ..scene.attributes import read_attribute
 from ..scene.bone_frames import armature_of
-from ..scene.cleanup import begin_selecting
-from ..scene.handlers import settle
+from ..scene.cleanup import out_of_edit_mode
+from ..scene.handlers import iter_settle
 from ..scene.overlay import show_moves_with
 from ..scene.selecting import active_splat, posed_points, selected_now
+from ..scene.steps import Steps
 from ..session.chosen import chosen_splats
+from ._sliced import Sliced
 
 NEAR = 10
 """Pixels around the mouse in which splats count as clicked."""
@@ -26,7 +29,7 @@ SOLID = 0.3
 """Opacity from which on a splat is seen."""
 
 
-class GSKIN_OT_show_moves_with(bpy.types.Operator):
+class GSKIN_OT_show_moves_with(Sliced, bpy.types.Operator):
     """Colour all splats by how alike they move with one: click it; in Edit Mode, with the splat clicked last or with
     those selected"""
 
@@ -48,6 +51,7 @@ class GSKIN_OT_show_moves_with(bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         splats = chosen_splats(context)
+        self.asked = True
         if bpy.app.background or context.window is None or splats.mode in {"EDIT", "WEIGHT_PAINT"}:
             return self.execute(context)
         context.window.cursor_modal_set("EYEDROPPER")
@@ -57,41 +61,44 @@ class GSKIN_OT_show_moves_with(bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if self._timer is not None:
+            return super().modal(context, event)  # a splat is found
         if event.type in {"ESC", "RIGHTMOUSE"}:
-            self._leave(context)
+            self._stop_picking(context)
             return {"CANCELLED"}
         if event.type != "LEFTMOUSE" or event.value != "PRESS":
             return {"PASS_THROUGH"}  # whoever looks for a splat turns the view
-        self._leave(context)
+        self._stop_picking(context)
         found = self._clicked(context, event)
         if found is None:
             self.report({"WARNING"}, "There is no splat under the mouse")
             return {"CANCELLED"}
         self.splat = found
-        return self.execute(context)
+        return self.begin(context, modal=True)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        splats = chosen_splats(context)
-        try:
-            if self.splat >= 0:
-                if self.splat >= len(splats.data.vertices):
-                    raise InputError(f"'{splats.name}' has no splat {self.splat}; the last is number "
-                                     f"{len(splats.data.vertices) - 1}.")  # fmt: skip
-                meant: Any = np.array([self.splat])
-            else:
-                active = active_splat(splats)
-                if splats.mode in {"EDIT", "WEIGHT_PAINT"}:
-                    begin_selecting(context, splats)  # there the fabric is seen, and no splats
-                meant = selected_now(splats) if active is None else np.array([active])
-            settle(splats)
-            count = show_moves_with(splats, meant)
-        except GSkinError as error:
-            self.report({"ERROR"}, error.plain)
-            return {"CANCELLED"}
-        self.report({"INFO"}, f"{count:,} splats share at least half of their weights")
-        return {"FINISHED"}
+        return self.begin(context)
 
-    def _leave(self, context: bpy.types.Context) -> None:
+    def work(self, context: bpy.types.Context) -> Steps[str]:
+        splats = chosen_splats(context)
+        if self.splat >= 0:
+            if self.splat >= len(splats.data.vertices):
+                raise InputError(f"'{splats.name}' has no splat {self.splat}; the last is number "
+                                 f"{len(splats.data.vertices) - 1}.")  # fmt: skip
+            meant: Any = np.array([self.splat])
+        else:
+            active = active_splat(splats)
+            meant = None if active is None else np.array([active])
+        works = splats.mode in {"EDIT", "WEIGHT_PAINT"}  # there the fabric is seen, and no splats
+        with out_of_edit_mode(context, splats) if works else nullcontext():
+            yield 0.0
+            if meant is None:
+                meant = selected_now(splats)
+            yield from iter_settle(splats)
+            count = show_moves_with(splats, meant)
+        return f"{count:,} splats share at least half of their weights"
+
+    def _stop_picking(self, context: bpy.types.Context) -> None:
         context.window.cursor_modal_restore()
         if context.workspace is not None:
             context.workspace.status_text_set(None)

@@ -8,13 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
+from ..core.skinning.edits.body_graph import BodyGraph
 from ..core.skinning.edits.selection import by_color, grown, in_front, linked, shrunk, spacing
 from ..scene.armature import deform_bone_names
 from ..scene.bone_frames import armature_of, bone_order
-from ..scene.handlers import settle
+from ..scene.handlers import iter_settle
 from ..scene.influences import read_influences
 from ..scene.rotation_nodes import frames_of
-from ..scene.selecting import base_colors, body_of, posed_points
+from ..scene.selecting import base_colors, iter_body_of, posed_points
+from ..scene.steps import Steps, in_thread
 from ..session.chosen import chosen_splats
 from ._selecting import WAYS, SelectSplats
 from ._weight_edit import bone_column, search_bones
@@ -45,10 +47,10 @@ class GSKIN_OT_select_by_bone(SelectSplats, bpy.types.Operator):
             return False
         return True
 
-    def find(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Mask) -> Mask:
+    def find(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Mask) -> Steps[Mask]:
         bones = deform_bone_names(armature_of(splats))
         bone = bones[bone_column(splats, self.bone, bones)]
-        settle(splats)
+        yield from iter_settle(splats)
         frames, stored = frames_of(splats), read_influences(splats)
         if frames is None or stored is None:
             raise InputError(f"'{splats.name}' is not bound; click Bind Splats to Armature.")
@@ -80,7 +82,8 @@ class GSKIN_OT_select_by_color(SelectSplats, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )
 
-    def find(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Mask) -> Mask:
+    def find(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Mask) -> Steps[Mask]:
+        yield 0.0
         colors = base_colors(splats)
         if not self.properties.is_property_set("color"):
             if self.active is not None:
@@ -98,9 +101,10 @@ class GSKIN_OT_select_linked_splats(SelectSplats, bpy.types.Operator):
     bl_idname = "gskin.select_linked_splats"
     bl_label = "Select Linked Splats"
 
-    def find(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Mask) -> Mask:
+    def find(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Mask) -> Steps[Mask]:
         _need(splats, selected)
-        return linked(body_of(splats), selected)
+        graph = yield from iter_body_of(splats)
+        return (yield from in_thread(lambda: linked(graph, selected)))
 
 
 class _AlongBody(SelectSplats):
@@ -119,9 +123,9 @@ class _AlongBody(SelectSplats):
         name="Length", description="So far along the body", default=0.05, min=0.0, soft_max=1.0, unit="LENGTH"
     )
 
-    def far(self, splats: bpy.types.Object) -> float:
+    def far(self, graph: BodyGraph) -> float:
         """Metres."""
-        return self.length if self.unit == "LENGTH" else self.steps * spacing(body_of(splats))
+        return self.length if self.unit == "LENGTH" else self.steps * spacing(graph)
 
     def draw(self, context: bpy.types.Context) -> None:
         layout: bpy.types.UILayout = self.layout  # type: ignore[attr-defined]
@@ -136,9 +140,11 @@ class GSKIN_OT_grow_splat_selection(_AlongBody, bpy.types.Operator):
     bl_idname = "gskin.grow_splat_selection"
     bl_label = "Grow Selection"
 
-    def find(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Mask) -> Mask:
+    def find(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Mask) -> Steps[Mask]:
         _need(splats, selected)
-        return grown(body_of(splats), selected, self.far(splats))
+        graph = yield from iter_body_of(splats)
+        far = self.far(graph)
+        return (yield from in_thread(lambda: grown(graph, selected, far)))
 
 
 class GSKIN_OT_shrink_splat_selection(_AlongBody, bpy.types.Operator):
@@ -147,9 +153,11 @@ class GSKIN_OT_shrink_splat_selection(_AlongBody, bpy.types.Operator):
     bl_idname = "gskin.shrink_splat_selection"
     bl_label = "Shrink Selection"
 
-    def find(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Mask) -> Mask:
+    def find(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Mask) -> Steps[Mask]:
         _need(splats, selected)
-        return shrunk(body_of(splats), selected, self.far(splats))
+        graph = yield from iter_body_of(splats)
+        far = self.far(graph)
+        return (yield from in_thread(lambda: shrunk(graph, selected, far)))
 
 
 class GSKIN_OT_select_in_front(SelectSplats, bpy.types.Operator):
@@ -175,10 +183,7 @@ class GSKIN_OT_select_in_front(SelectSplats, bpy.types.Operator):
     view: bpy.props.FloatVectorProperty(size=16, options={"HIDDEN", "SKIP_SAVE"})
     lens: bpy.props.FloatVectorProperty(size=16, options={"HIDDEN", "SKIP_SAVE"})
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        return self.execute(context)
-
-    def find(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Mask) -> Mask:
+    def find(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Mask) -> Steps[Mask]:
         if not self.properties.is_property_set("view"):
             camera = _region_view(context)
             if camera is None:
@@ -186,7 +191,8 @@ class GSKIN_OT_select_in_front(SelectSplats, bpy.types.Operator):
             # The last operation is done again from the view that it was clicked in.
             self.view = np.array(camera.view_matrix).ravel()
             self.lens = np.array(camera.window_matrix).ravel()
-        size = max(self.depth, 0.5) * spacing(body_of(splats))
+        graph = yield from iter_body_of(splats)
+        size = max(self.depth, 0.5) * spacing(graph)
         view, lens = np.array(self.view).reshape(4, 4), np.array(self.lens).reshape(4, 4)
         return in_front(posed_points(splats), view, lens, size)
 

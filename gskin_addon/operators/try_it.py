@@ -9,16 +9,20 @@ from typing import Any
 import bpy
 
 from ..core.errors import GSkinError
+from ..core.skinning.edits.stretch import StretchMeter
 from ..scene.bone_frames import armature_of
-from ..scene.handlers import settle
+from ..scene.handlers import iter_settle
 from ..scene.overlay import show_stretch
 from ..scene.selecting import mark_selected
-from ..scene.trial import Player, Trial
+from ..scene.steps import Steps, run_for, run_to_end
+from ..scene.trial import Player, Trial, iter_meter
 from ..session.chosen import chosen_splats
 from .confidence import least
 
 TICK = 1 / 30
 """Seconds between two poses, where the machine can."""
+BUDGET = 0.02
+"""Seconds of slices in each before the first pose."""
 
 
 class GSKIN_OT_try_it(bpy.types.Operator):
@@ -53,6 +57,8 @@ class GSKIN_OT_try_it(bpy.types.Operator):
     """Whether it is done once more with another number; the poses have been measured then."""
 
     _trial: Trial | None = None
+    _making: Steps[StretchMeter] | None = None
+    """What is needed before the first pose."""
     _timer: bpy.types.Timer | None = None
     _player: Player
     _began = 0.0
@@ -77,8 +83,7 @@ class GSKIN_OT_try_it(bpy.types.Operator):
             self._trial = known
             return self._tell(context)
         try:
-            settle(splats)
-            self._trial = Trial(splats)
+            self._trial = Trial(splats, run_to_end(_prepare(splats)))
             for _ in self._trial.run():
                 pass
         except GSkinError as error:
@@ -89,15 +94,7 @@ class GSKIN_OT_try_it(bpy.types.Operator):
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if bpy.app.background or context.window is None:
             return self.execute(context)
-        splats = chosen_splats(context)
-        try:
-            settle(splats)
-            self._trial = Trial(splats)
-            self._trial.begin()
-        except GSkinError as error:
-            self.report({"ERROR"}, error.plain)
-            return {"CANCELLED"}
-        self._player, self._began = Player(self._trial, self.seconds), time.monotonic()
+        self._making = _prepare(chosen_splats(context))
         self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
         if context.workspace is not None:
             context.workspace.status_text_set("Trying the rig  (Esc stops)")
@@ -114,6 +111,8 @@ class GSKIN_OT_try_it(bpy.types.Operator):
             looks = event.type in {"MIDDLEMOUSE", "WHEELUPMOUSE", "WHEELDOWNMOUSE", "MOUSEMOVE"}
             return {"PASS_THROUGH"} if looks else {"RUNNING_MODAL"}
         try:
+            if self._making is not None:
+                return self._make(context)
             if self._player.step(time.monotonic() - self._began):
                 return {"RUNNING_MODAL"}
             self._leave(context)
@@ -123,12 +122,38 @@ class GSKIN_OT_try_it(bpy.types.Operator):
             self._leave(context)
             raise
 
+    def _make(self, context: bpy.types.Context) -> set[str]:
+        """Some slices of what is needed, and with the last the trial begins."""
+        try:
+            run_for(self._making, BUDGET)
+        except StopIteration as stop:
+            self._making = None
+            try:
+                self._trial = Trial(chosen_splats(context), stop.value)
+            except GSkinError as error:
+                return self._refuse(context, error)
+            self._trial.begin()
+            self._player, self._began = Player(self._trial, self.seconds), time.monotonic()
+        except GSkinError as error:
+            return self._refuse(context, error)
+        return {"RUNNING_MODAL"}
+
+    def _refuse(self, context: bpy.types.Context, error: GSkinError) -> set[str]:
+        self._leave(context)
+        self.report({"ERROR"}, error.plain)
+        return {"CANCELLED"}
+
     def cancel(self, context: bpy.types.Context) -> None:
         """Blender ends the operator: another file is loaded, the window closes."""
+        if self._making is not None:
+            self._making.close()
         if self._trial is not None:
             self._trial.end()
 
     def _leave(self, context: bpy.types.Context) -> None:
+        if self._making is not None:
+            self._making.close()
+            self._making = None
         if self._timer is not None:
             context.window_manager.event_timer_remove(self._timer)
             self._timer = None
@@ -154,6 +179,12 @@ class GSKIN_OT_try_it(bpy.types.Operator):
         _last[splats.data.session_uid] = trial
         self._trial, self.again = None, True
         return {"FINISHED"}
+
+
+def _prepare(splats: bpy.types.Object) -> Steps[StretchMeter]:
+    """What a trial needs, in slices."""
+    yield from iter_settle(splats)
+    return (yield from iter_meter(splats))
 
 
 _last: dict[int, Trial] = {}

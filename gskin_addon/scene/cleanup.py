@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import bmesh
 import bpy
 import numpy as np
@@ -39,6 +42,19 @@ def begin_selecting(context: bpy.types.Context, obj: bpy.types.Object) -> None:
     context.view_layer.objects.active = obj
     if obj.mode != "OBJECT":
         bpy.ops.object.mode_set(mode="OBJECT")
+
+
+@contextmanager
+def out_of_edit_mode(context: bpy.types.Context, obj: bpy.types.Object) -> Iterator[None]:
+    """`begin_selecting`, and the mode of before again where the block is given up."""
+    mode = obj.mode
+    begin_selecting(context, obj)
+    try:
+        yield
+    except BaseException:  # also a generator that is closed
+        if obj.mode != mode:
+            bpy.ops.object.mode_set(mode=mode)
+        raise
 
 
 def show_selected(context: bpy.types.Context, obj: bpy.types.Object, mask: Mask) -> None:

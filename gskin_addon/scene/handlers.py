@@ -119,6 +119,53 @@ def settle(obj: bpy.types.Object | None, uid: int = 0) -> None:
         _guarded(lambda obj: run_to_end(iter_update_rotation_weights(obj)), obj)
 
 
+def is_unsettled(obj: bpy.types.Object) -> bool:
+    """Whether something was changed that `settle` would take over."""
+    return (obj.session_uid in _changed or obj.session_uid in _running) and obj.mode != "EDIT"
+
+
+def iter_settle(obj: bpy.types.Object) -> Steps[None]:
+    """`settle` in slices; goes on with what the timer began, which goes on with it again where this is given up."""
+    uid = obj.session_uid
+    while is_unsettled(obj):  # again where it was changed meanwhile
+        steps = _running.pop(uid, None)
+        _changed.discard(uid)
+        if steps is None:
+            if not _is_followed(obj):
+                return
+            steps = iter_update_rotation_weights(obj)
+        ended = False
+        try:
+            yield from _as_ours(steps)
+            ended = True
+        except GSkinError as error:
+            print(f"gskin: {error}")  # as in `_guarded`
+            ended = True
+        finally:
+            if not ended:
+                _ask_again(uid)
+                _begin()
+
+
+def _as_ours(steps: Steps[bool]) -> Steps[None]:
+    """The same slices; what they write is known not to be the artist's."""
+    global _busy
+    while True:
+        # What an artist has changed since comes first, as in `_go_on`.
+        bpy.context.view_layer.update()
+        _busy = True
+        try:
+            share = next(steps)
+        except StopIteration as stop:
+            if stop.value:
+                clean()
+                bpy.context.view_layer.update()
+            return
+        finally:
+            _busy = False
+        yield share
+
+
 def refresh_all() -> None:
     """Bring all splats of the file in line with their weights and armatures now, as without handlers nobody does."""
     for obj in bpy.data.objects:

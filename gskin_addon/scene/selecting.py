@@ -17,6 +17,7 @@ from . import names
 from .attributes import ObjectData, read_attribute, read_positions
 from .seams import read_seams
 from .splat_object import read_cloud
+from .steps import Steps, in_thread, run_to_end
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -30,14 +31,20 @@ def body_of(obj: bpy.types.Object) -> BodyGraph:
 
     Raises InputError as `read_cloud`.
     """
+    return run_to_end(iter_body_of(obj))
+
+
+def iter_body_of(obj: bpy.types.Object) -> Steps[BodyGraph]:
+    """`body_of` in slices: the graph is made beside Blender. Already the first slice raises."""
     sides = read_seams(obj)
     means = read_cloud(obj).means
     made_of = (len(means), zlib.crc32(means.tobytes()), 0 if sides is None else zlib.crc32(sides.tobytes()))
     uid = obj.data.session_uid
     if uid not in _graphs or _graphs[uid][0] != made_of:
+        graph = yield from in_thread(lambda: body_graph(means, walls=sides))
         while len(_graphs) >= 3:
             _graphs.pop(next(iter(_graphs)))
-        _graphs[uid] = made_of, body_graph(means, walls=sides)
+        _graphs[uid] = made_of, graph
     return _graphs[uid][1]
 
 

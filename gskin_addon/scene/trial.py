@@ -26,8 +26,9 @@ from .controls import why_held
 from .influences import read_influences
 from .posing import Channels, channels, restore
 from .rotation_nodes import frames_of
-from .selecting import body_of
+from .selecting import iter_body_of
 from .splat_object import read_cloud
+from .steps import Steps, in_thread, run_to_end
 
 Array = NDArray[Any]
 
@@ -62,14 +63,11 @@ class Trial:
     Raises InputError: no armature, or no bone that could be turned.
     """
 
-    def __init__(self, splats: bpy.types.Object) -> None:
-        armature, frames, stored = armature_of(splats), frames_of(splats), read_influences(splats)
-        if armature is None or frames is None or stored is None:
-            raise InputError(f"'{splats.name}' follows no armature by weights of its own; bind it to one first.")
-        if armature.library is not None:
-            raise InputError(f"Armature '{armature.name}' is linked from another file; make a library override of it.")
-        self.armature = armature
-        self.meter = StretchMeter(read_cloud(splats).means, body_of(splats), *stored)
+    def __init__(self, splats: bpy.types.Object, meter: StretchMeter | None = None) -> None:
+        """meter: as from `iter_meter`, which is made here otherwise."""
+        meter = meter or run_to_end(iter_meter(splats))
+        armature, frames, stored = _parts_of(splats)
+        self.armature, self.meter = armature, meter
         if bone_order(frames) != deform_bone_names(armature):
             raise InputError(f"The bones of '{armature.name}' have changed; click Bind Splats to Armature.")
         self.swings = swings_of(armature, bone_order(frames), *stored)
@@ -149,6 +147,23 @@ class Trial:
         count = np.bincount(numbers[numbers >= 0], minlength=len(self.swings))
         order = [number for number in np.argsort(-count, kind="stable").tolist() if count[number]]
         return list(dict.fromkeys(name for number in order for name, *_ in self.swings[number].bones))[:most]
+
+
+def iter_meter(splats: bpy.types.Object) -> Steps[StretchMeter]:
+    """What measures the splats' stretch, in slices. Raises InputError: no armature that could be posed."""
+    stored = _parts_of(splats)[2]
+    graph, means = (yield from iter_body_of(splats)), read_cloud(splats).means
+    return (yield from in_thread(lambda: StretchMeter(means, graph, *stored)))
+
+
+def _parts_of(splats: bpy.types.Object) -> tuple[bpy.types.Object, bpy.types.Object, tuple[Array, Array]]:
+    """Armature, bone frames and influences."""
+    armature, frames, stored = armature_of(splats), frames_of(splats), read_influences(splats)
+    if armature is None or frames is None or stored is None:
+        raise InputError(f"'{splats.name}' follows no armature by weights of its own; bind it to one first.")
+    if armature.library is not None:
+        raise InputError(f"Armature '{armature.name}' is linked from another file; make a library override of it.")
+    return armature, frames, stored
 
 
 class Player:

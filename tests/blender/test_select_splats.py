@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import threading
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import rig_scenes as rigs
@@ -13,9 +16,9 @@ import bmesh
 
 import gskin_addon
 from gskin_addon.core.splats.cloud import SH_C0
-from gskin_addon.operators import select_splats
-from gskin_addon.operators._selecting import combined
-from gskin_addon.scene import names
+from gskin_addon.operators import _sliced, select_splats
+from gskin_addon.operators._selecting import SelectSplats, combined
+from gskin_addon.scene import names, selecting
 from gskin_addon.scene.fabric import iter_make_fabric
 from gskin_addon.scene.seams import write_seams
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud
@@ -209,3 +212,81 @@ def test_blenders_select_menus_have_them_for_splats_alone(splats):
     bpy.context.view_layer.objects.active = splats
     for name in select_menu.MENUS:
         assert select_menu.draw in getattr(bpy.types, name)._dyn_ui_initialize()
+
+
+TIMER, ESCAPE = (SimpleNamespace(type=kind, value="PRESS") for kind in ("TIMER", "ESC"))
+
+
+class Click(SelectSplats):
+    """Select Linked as a person clicks it."""
+
+    bl_label = "Click"
+    mode = "SET"
+    find = select_splats.GSKIN_OT_select_linked_splats.find
+
+    def __init__(self):
+        self.said = []
+
+    def report(self, kind, text):
+        self.said.append((*kind, text))
+
+
+@pytest.fixture
+def window(splats, monkeypatch):
+    """A window as Blender gives it, with the splats in Edit Mode, one of them selected, and no graph known."""
+    monkeypatch.setattr(_sliced, "BUDGET", 0.0)
+    monkeypatch.setattr(_sliced, "bpy", SimpleNamespace(app=SimpleNamespace(background=False)))
+    monkeypatch.setattr(selecting, "_graphs", {})
+    manager = SimpleNamespace(
+        event_timer_add=lambda pause, window: pause, event_timer_remove=lambda timer: None,
+        modal_handler_add=lambda operator: None,
+    )  # fmt: skip
+    selecting.enter_edit_mode(bpy.context, splats, np.arange(COUNT) == 7)
+    return SimpleNamespace(
+        window=object(), window_manager=manager, workspace=None, view_layer=bpy.context.view_layer,
+        tool_settings=bpy.context.tool_settings, active_object=splats, object=splats, selected_objects=[splats],
+        scene=bpy.context.scene,
+    )  # fmt: skip
+
+
+def test_the_graph_of_the_first_click_is_made_beside_blender(splats, window, monkeypatch):
+    threads, make = [], selecting.body_graph
+
+    def noted(*args, **options):
+        threads.append(threading.current_thread())
+        return make(*args, **options)
+
+    monkeypatch.setattr(selecting, "body_graph", noted)
+    click = Click()
+    assert click.invoke(window, None) == {"RUNNING_MODAL"}
+    assert not threads, "the click itself returns at once"
+    while (answer := click.modal(window, TIMER)) == {"RUNNING_MODAL"}:
+        assert splats.mode == "OBJECT"
+    assert answer == {"FINISHED"}
+    assert threads
+    assert threading.main_thread() not in threads
+    assert splats.mode == "EDIT"
+    found = selected(splats)
+    assert click.said == [("INFO", f"{found.sum()} of {COUNT} splats selected")]
+    select(splats, np.arange(COUNT) == 7)
+    bpy.ops.gskin.select_linked_splats()
+    np.testing.assert_array_equal(selected(splats), found)
+    assert len(threads) == 1, "the graph is kept"
+
+
+def test_done_again_from_the_panel_it_is_done_at_once(splats, window):
+    click = Click()
+    click.invoke(window, None)
+    while click.modal(window, TIMER) == {"RUNNING_MODAL"}:
+        pass
+    assert click.execute(window) == {"FINISHED"}, "the same operator, and nobody clicked"
+
+
+def test_escape_leaves_mode_and_selection(splats, window):
+    click = Click()
+    click.invoke(window, None)
+    click.modal(window, TIMER)
+    assert splats.mode == "OBJECT"
+    assert click.modal(window, ESCAPE) == {"CANCELLED"}
+    assert splats.mode == "EDIT"
+    np.testing.assert_array_equal(selected(splats), np.arange(COUNT) == 7)

@@ -26,7 +26,7 @@ class Probe(_sliced.Sliced):
     def report(self, kind, text):
         self.said.append((*kind, text))
 
-    def steps(self, context):
+    def work(self, context):
         try:
             yield 0.3
             yield 0.6

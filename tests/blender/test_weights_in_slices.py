@@ -416,6 +416,28 @@ def test_painting_again_begins_anew(painted):
     assert turned_by(painted) == {3}
 
 
+def test_an_operator_goes_on_with_what_the_timer_began(painted):
+    handlers._go_on()
+    steps, shares = handlers.iter_settle(painted), []
+    for share in steps:
+        assert turned_by(painted) != {1}
+        shares.append(share)
+    assert len(shares) >= COUNT // 64 - 1
+    assert turned_by(painted) == {1}
+    assert not handlers.is_unsettled(painted)
+    assert handlers._go_on() is None
+
+
+def test_the_timer_goes_on_with_what_an_operator_gives_up(painted):
+    steps = handlers.iter_settle(painted)
+    next(steps)
+    steps.close()
+    assert handlers.is_unsettled(painted)
+    while handlers._go_on() is not None:
+        pass
+    assert turned_by(painted) == {1}
+
+
 def test_saving_waits_for_it(painted, tmp_path):
     handlers._go_on()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "s.blend"))
