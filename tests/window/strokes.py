@@ -401,7 +401,8 @@ def our_buttons(stage: Stage, painting: Painting) -> Story:
         # Leaving and entering Edit Mode takes Blender itself about as long.
         pauses(stage, f"button {name}", name, ours=mode == "OBJECT")
         stage.chapter = "buttons"
-        yield stage.pause(0.5)
+        # Where the machine is busy the click may come later than was waited for.
+        yield stage.soon(lambda before=before: not working() and (read_outside(painting) != before).any(), 30.0)
         after = read_outside(painting)
         changed = (after != before).any(axis=1)
         stage.check(f"{name} changes splats", changed.any(), f"{changed.sum():,} in {painting.splats.mode}")

@@ -124,7 +124,7 @@ def test_without_diffusion_and_with_it_later(folder):
     run(folder, choice=Choice(BACKENDS["cpu"], diffusion=False))
     assert "diffusers" not in calls(folder)
     run(folder)
-    assert calls(folder) == ["diffusers", "transformers", "accelerate"]
+    assert calls(folder) == ["diffusers", "transformers", "accelerate", "peft"]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="two backends on one system")
