@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..core.errors import InputError
 from ..core.rig.bendy import BendyBone
 from ..core.rig.skeleton import Skeleton
-from .transforms import world_similarity
+from .transforms import similarity_as_shown, world_similarity
 from .visibility import shown
 
 Array = NDArray[Any]
@@ -51,20 +51,35 @@ def read_skeleton(armature: bpy.types.Object) -> Skeleton:
     """The deform bones at rest, in world space with the armature object's transform applied (metres).
 
     A bone's parent is its nearest deforming ancestor. Raises InputError: no armature, no deform bones, bones of zero
-    length, non-uniform or mirrored object scale.
+    length, an object scale as `rig_similarity` refuses it.
     """
     bones = deform_bones(armature)
-    rotation, scale, translation = world_similarity(armature)
+    rotation, scale, translation = rig_similarity(armature)
     index = {bone.name: place for place, bone in enumerate(bones)}
     parents = np.array([_deform_parent(bone, index) for bone in bones])
     rest = np.array([bone.matrix_local for bone in bones], dtype=np.float64)
     rest[:, :3, :3] = rotation @ rest[:, :3, :3]
+    if scale < 0:
+        rest[:, :3, :2] *= -1  # x and y as in the mirror; z, which makes it a rotation, the other way round
     heads = np.array([bone.head_local for bone in bones], dtype=np.float64) @ rotation.T * scale + translation
     tails = np.array([bone.tail_local for bone in bones], dtype=np.float64) @ rotation.T * scale + translation
     rest[:, :3, 3] = heads
     skeleton = Skeleton(tuple(index), parents, heads, tails, rest)
     skeleton.validate(f"armature '{armature.name}'")
     return skeleton
+
+
+def rig_similarity(armature: bpy.types.Object, *, as_shown: bool = False) -> tuple[Array, float, Array]:
+    """Rotation, scale (negative where it is mirrored) and translation of an armature, as `world_similarity`.
+
+    The turn of a bone stays one in the mirror; segments and envelopes of bones are measured in the armature's own
+    space, and that has to be like the world. as_shown: as of the last update. Raises InputError for uneven scale, and
+    where both meet: mirrored, and bones with segments or multiplied envelopes.
+    """
+    bones: Any = getattr(armature.data, "bones", ())
+    plain = not any(b.use_deform and (b.bbone_segments > 1 or b.use_envelope_multiply) for b in bones)
+    read = similarity_as_shown if as_shown else world_similarity
+    return read(armature, mirrored=plain)
 
 
 def pose_transforms_of(armature: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None) -> Array:

@@ -30,27 +30,28 @@ def within_update() -> Iterator[None]:
         _within_update = before
 
 
-def world_similarity(obj: bpy.types.Object) -> tuple[Array, float, Array]:
+def world_similarity(obj: bpy.types.Object, *, mirrored: bool = False) -> tuple[Array, float, Array]:
     """Rotation (3, 3), scale, translation (3,) in float64 of the object's world matrix.
 
-    Raises InputError where the matrix is not uniform: a stretched, sheared or mirrored Gaussian has no rotation
-    and scale of its own.
+    mirrored: whether it may mirror; the scale is negative then, since each mirror image is a rotation of the one
+    through the origin. Raises InputError where the matrix is not uniform: a stretched, sheared or mirrored Gaussian
+    has no rotation and scale of its own.
     """
     if _within_update:
-        return similarity_as_shown(obj)
+        return similarity_as_shown(obj, mirrored=mirrored)
     with shown([obj]):
         bpy.context.view_layer.update()  # matrix_world lags behind location, rotation and scale set by a script
-        return similarity_as_shown(obj)
+        return similarity_as_shown(obj, mirrored=mirrored)
 
 
-def similarity_as_shown(obj: bpy.types.Object) -> tuple[Array, float, Array]:
+def similarity_as_shown(obj: bpy.types.Object, *, mirrored: bool = False) -> tuple[Array, float, Array]:
     """`world_similarity` as of the last update, for panels: while they draw, nothing may be updated."""
     matrix = np.array(obj.matrix_world, dtype=np.float64)
     linear = matrix[:3, :3]
     scale = float(np.cbrt(np.linalg.det(linear)))
     # Applying would scale the centres of splats, but not the splats themselves.
     remedy = "apply it (Object > Apply > Scale)" if obj.type == "ARMATURE" else "give all three axes one positive scale"
-    if scale <= 0.0:
+    if scale == 0.0 or (scale < 0.0 and not mirrored):
         raise InputError(f"'{obj.name}' is mirrored or has zero scale; {remedy} and try again.")
     rotation = linear / scale
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4):

@@ -13,6 +13,7 @@ from ..core.errors import InputError
 from ..core.job.checks import APART, SOUND, better_axis, check_overlap, overlap
 from ..core.rig.rig_scale import ABSURD
 from ..core.rig.skeleton import Skeleton
+from ..scene.armature import rig_similarity
 from ..scene.deform_stack import not_in_the_viewport
 from ..scene.follow_transforms import warning_of
 from ..scene.native_nodes import POSITION_STEPS
@@ -164,9 +165,9 @@ def _mode_check(splats: bpy.types.Object, armature: bpy.types.Object) -> Check:
 
 
 def _scale_check(splats: bpy.types.Object, armature: bpy.types.Object) -> Check:
-    for obj in (splats, armature):
+    for look in (lambda: similarity_as_shown(splats), lambda: rig_similarity(armature, as_shown=True)):
         try:
-            similarity_as_shown(obj)
+            look()
         except InputError as error:
             return Check("Scale", "stop", error.plain, "gskin.even_scale", "Make the Scale Even")
     return Check("Scale")

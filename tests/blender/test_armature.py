@@ -100,7 +100,7 @@ def test_zero_length_bone(rng):
         read_skeleton(armature)
 
 
-@pytest.mark.parametrize("scale", [(1, 2, 1), (1, 1, -1)])
+@pytest.mark.parametrize("scale", [(1, 2, 1), (1, 2, -1), (1, 0, 1)])  # one mirrored evenly: test_mirrored_rig.py
 def test_uneven_scale(rng, scale):
     armature = rigs.make_chains(2, rng)
     armature.scale = scale

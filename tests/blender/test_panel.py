@@ -171,8 +171,9 @@ def test_a_rig_without_bones_has_nothing_to_turn_on(scene):
     assert not bpy.ops.gskin.enable_deform.poll()
 
 
-@pytest.mark.parametrize("which", ["Rod", "Rig"])
-@pytest.mark.parametrize("scale", [(1, 1, 1.5), (1, -1, 1)])
+@pytest.mark.parametrize(
+    ("which", "scale"), [("Rod", (1, 1, 1.5)), ("Rod", (1, -1, 1)), ("Rig", (1, 1, 1.5)), ("Rig", (1, -1, 1.5))]
+)
 def test_uneven_scale_is_made_even(scene, which, scale):
     bpy.data.objects[which].scale = scale
     (check,) = bad()
@@ -181,6 +182,17 @@ def test_uneven_scale_is_made_even(scene, which, scale):
     assert bad() == []
     assert len({round(value, 6) for value in bpy.data.objects[which].scale}) == 1
     assert not bpy.ops.gskin.even_scale.poll()
+
+
+def test_a_mirrored_rig_is_fine(scene, splats, armature):
+    armature.scale = (1, 1, -1)
+    bpy.context.view_layer.update()
+    assert bad() == []
+    armature.data.bones[0].bbone_segments = 4
+    (check,) = bad()
+    assert "'Rig' is mirrored" in check.sentence
+    assert click(check) == {"FINISHED"}
+    assert bad() == []
 
 
 def test_an_uneven_parent_is_named_and_left(scene, splats, armature):

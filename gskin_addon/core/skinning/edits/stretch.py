@@ -31,8 +31,9 @@ class StretchMeter:
         linked = graph.linked[:, :k]
         first = np.repeat(np.arange(count), k)[linked.ravel()]
         second = graph.neighbour[:, :k][linked]
-        pairs = np.unique(np.sort(np.stack([first, second], axis=1), axis=1), axis=0)
-        self.first, self.second = pairs[:, 0], pairs[:, 1]
+        # As one number each: rows would be sorted without letting other threads run.
+        pairs = np.unique(np.minimum(first, second) * count + np.maximum(first, second))
+        self.first, self.second = np.divmod(pairs, count)
         self.means = np.asarray(means, np.float32)
         self.index, self.value = np.asarray(index), np.asarray(value, np.float32)
         self.soft = np.float32(SOFT * float(np.linalg.norm(np.ptp(self.means, axis=0))))
