@@ -114,7 +114,7 @@ def story(stage: Stage, options: argparse.Namespace) -> Story:
     yield from studio.settled()
     stage.check("a new object is drawn by the shader", drawn(obj))
     node = part("scene.node_builder")
-    name, modifier = part("scene.node_groups").BY_SHADER, part("scene.node_groups").find_display(obj)
+    name, modifier = part("scene.display_inputs").BY_SHADER, part("scene.node_groups").find_display(obj)
     module.disable(ADDON)
     stage.check("turning the add-on off brings ellipsoids back", node.get_input(modifier, name) is False)
     yield from studio.hands.shoot("s90_off")
