@@ -257,7 +257,7 @@ def undo_and_reload(stage: Stage, studio: Studio, out: Path) -> Story:
     with bpy.data.libraries.load(str(other), link=True) as (there, into):
         into.objects = [name for name in there.objects if name == obj.name]
     linked = into.objects[0]
-    good = node.get_input(groups.find_display(linked), groups.BY_SHADER) is False
+    good = node.get_input(groups.find_display(linked), part("scene.display_inputs").BY_SHADER) is False
     stage.check("a saved file has ellipsoids for those without the add-on", good)
     bpy.data.libraries.remove(linked.library)
     bpy.ops.wm.open_mainfile(filepath=str(path))
