@@ -7,7 +7,7 @@ DOCS_VENV ?= .venvs/docs
 STAMP = $(VENV)/gskin-setup.sha256
 
 .DEFAULT_GOAL := help
-.PHONY: help venv demo test test-versions test-window test-runtime lint words zip repository docs bench-speed bench-quality clean
+.PHONY: help venv demo test test-versions test-window test-runtime lint words zip repository docs bench-speed bench-quality bench-paper clean
 
 help:
 	@echo 'make venv           the environment in $(VENV), with all that gskin needs'
@@ -22,6 +22,7 @@ help:
 	@echo 'make docs           the documentation as a site, into out/docs; strict: a dead link fails'
 	@echo 'make bench-speed    every bar of speed and memory; ONLY=iteration,standard and REPEATS=3 choose'
 	@echo 'make bench-quality  all ways to make weights, on assets with known ones; tables into docs/benchmarks.md'
+	@echo "make bench-paper    the paper's tables in its protocol; SAMPLE=4 chooses how many assets"
 
 $(STAMP): pyproject.toml tools/make_venv.py
 	@$(PYTHON) tools/make_venv.py --venv $(VENV)
@@ -73,6 +74,9 @@ bench-speed: $(STAMP)
 
 bench-quality: $(STAMP)
 	@$(RUN) -m benchmarks.quality
+
+bench-paper: $(STAMP)
+	@$(RUN) -m benchmarks.paper $(if $(SAMPLE),--sample $(SAMPLE)) $(if $(LPIPS),--lpips $(LPIPS))
 
 clean:
 	rm -rf out build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis

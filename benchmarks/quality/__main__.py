@@ -49,7 +49,7 @@ def main() -> int:
     except InputError as error:
         return _refuse(str(error))
     methods = [*arguments.methods.split(","), *given]
-    unknown = [m for m in methods if m not in METHODS and not m.startswith(("ours:", from_file.PREFIX))]
+    unknown = [m for m in methods if m not in METHODS and not m.startswith(("ours:", "job:", from_file.PREFIX))]
     if unknown:
         return _refuse(f"There is no method '{unknown[0]}': choose of {', '.join(METHODS)}, ours:<init>+<guidance>.")
     entries = _entries(arguments)

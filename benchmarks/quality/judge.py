@@ -15,6 +15,7 @@ from gskin_addon.core.render.camera import evaluation_views
 from gskin_addon.core.render.photometric import content_box, l1_dssim
 from gskin_addon.core.render.rasterizer import render_cloud
 from gskin_addon.core.rig.lbs import skin_cloud, skin_points
+from gskin_addon.core.splats.cloud import SplatCloud
 
 from .lpips import Perceptual
 from .protocol import Protocol
@@ -69,7 +70,7 @@ class Judge:
         lower, upper = np.percentile(everything[:: max(1, len(everything) // 200_000)], [0.2, 99.8], axis=0)
         self.cameras = evaluation_views(lower, upper, protocol.size)[: protocol.views]
         self._rendered = _spread(len(self.frames), protocol.picture_frames)
-        self._pictures = [self.render(asset.weights, frame) for frame in self._rendered]
+        self._pictures = [self.render(self._true_weights(), frame) for frame in self._rendered]
 
     def score(self, weights: Array) -> Score:
         """The score of weights (N, B) on the asset's skeleton.
@@ -80,9 +81,13 @@ class Judge:
         weights = np.asarray(weights, np.float32)
         if weights.shape != self._asset.weights.shape or not np.isfinite(weights).all():
             raise ValueError(f"weights {weights.shape} do not fit {self._asset.weights.shape} or are not finite")
+        return self._score(weights, weights)
+
+    def _score(self, weights: Array, rendered: Array) -> Score:
+        """Positions by weights (N, B), pictures by what `render` takes."""
         own = self.distances(weights)
         random = self._distances(weights, self._poses, self._truth_poses)
-        psnr, ssim, lpips = self._compare(weights)
+        psnr, ssim, lpips = self._compare(rendered)
         off = float(np.abs(weights - self._asset.weights).sum(axis=1).mean() / 2)
         return Score(
             float(own.mean()), float(np.percentile(own, 95)), float(random.mean()),
@@ -101,7 +106,14 @@ class Judge:
     def render(self, weights: Array, frame: int) -> list[NDArray[np.float32]]:
         """The pictures of one frame with weights (N, B), one for each camera."""
         posed = skin_cloud(self._asset.cloud, weights, self.frames[frame], rotate_sh=False)
+        return self._render(posed)
+
+    def _render(self, posed: SplatCloud) -> list[NDArray[np.float32]]:
         return [render_cloud(posed, camera)[0] for camera in self.cameras]
+
+    def _true_weights(self) -> Array:
+        """What the true pictures are rendered with."""
+        return self._asset.weights
 
     def _compare(self, weights: Array) -> tuple[float, float, float | None]:
         values, distances = [], []

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """LPIPS (Zhang et al. 2018), where its weights are on disk: a TorchScript file, never a download.
 
-Made once from the `lpips` package, whose constructor fetches the weights:
-`torch.jit.trace(lpips.LPIPS(net="alex").eval(), (torch.rand(1, 3, 512, 512),) * 2).save("lpips.pt")`.
+Made by `lpips_file.py`.
 """
 
 from __future__ import annotations

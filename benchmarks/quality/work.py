@@ -13,12 +13,11 @@ from typing import Any
 
 from benchmarks.assets import load_asset
 
+from .cases import ANCHORED, CASES, judge_of
 from .catalog import entry_of
-from .judge import Judge
 from .lpips import Perceptual
 from .methods import MethodInput, Unavailable, create_method
 from .methods.base import MethodResult, rigid_weights
-from .perturb import DISTURBANCES
 from .protocol import Protocol
 from .results import FAILED, OK, OWN, PARTLY, Result, save_weights, weights_path
 
@@ -54,8 +53,8 @@ def perform(task: Task, protocol: Protocol, folder: Path, lpips: Perceptual | No
     """Do the task; says what it is at, so that somebody can watch. Seconds are core-seconds of this process."""
     yield "start", "(loading)", 120.0
     asset = load_asset(task.asset, protocol.splats, protocol.seed, unused_bones=protocol.unused_bones)
-    case = DISTURBANCES[task.skeleton](asset)
-    judge = Judge(case.asset, protocol, lpips)
+    case = CASES[task.skeleton](asset)
+    judge = judge_of(task.skeleton, case.asset, protocol, lpips)
     subject = MethodInput(case.asset, case.skeleton, case.truth)
     assert subject.masks.size  # made here, so that no method pays for them
     entry = entry_of(task.asset)
@@ -64,6 +63,8 @@ def perform(task: Task, protocol: Protocol, folder: Path, lpips: Perceptual | No
         weights = made.weights @ case.fold
         if task.skeleton == OWN and status != FAILED:
             save_weights(weights_path(folder, task.asset, method, protocol.key), weights)
+        if task.skeleton == ANCHORED and made.mesh_weights is not None:
+            weights = made.mesh_weights @ case.fold
         return Result(
             task.asset, entry.category, entry.family, method, task.skeleton, protocol.key, case.skeleton.count,
             status, made.note, seconds, asdict(judge.score(weights)),
@@ -99,4 +100,4 @@ def perform(task: Task, protocol: Protocol, folder: Path, lpips: Perceptual | No
 
 def order_methods(methods: Sequence[str]) -> tuple[str, ...]:
     """The methods with those last that may be stopped by the clock, since a stop costs the loaded asset."""
-    return tuple(sorted(methods, key=lambda m: m in ("bbw",) or m.startswith("ours:") or m == "oracle"))
+    return tuple(sorted(methods, key=lambda m: m in ("bbw", "oracle") or m.startswith(("ours:", "job:"))))

@@ -34,7 +34,7 @@ class GSKIN_OT_install_runtime(bpy.types.Operator):
     backend: bpy.props.EnumProperty(name="Torch for", description="What computes", items=_ITEMS, default=_ITEMS[0][0])
     diffusion: bpy.props.BoolProperty(
         name="Diffusion Guidance",
-        description="Also diffusers, transformers and accelerate, which the guidance models that you bring need",
+        description="Also diffusers, transformers, accelerate and peft, which the guidance models that you bring need",
         default=True,
     )
 

@@ -114,7 +114,7 @@ def story(stage: Stage, options: argparse.Namespace) -> Story:
     yield from studio.settled()
     stage.check("a new object is drawn by the shader", drawn(obj))
     node = part("scene.node_builder")
-    name, modifier = part("scene.node_groups").BY_SHADER, part("scene.node_groups").find_display(obj)
+    name, modifier = part("scene.display_inputs").BY_SHADER, part("scene.node_groups").find_display(obj)
     module.disable(ADDON)
     stage.check("turning the add-on off brings ellipsoids back", node.get_input(modifier, name) is False)
     yield from studio.hands.shoot("s90_off")
@@ -257,7 +257,7 @@ def undo_and_reload(stage: Stage, studio: Studio, out: Path) -> Story:
     with bpy.data.libraries.load(str(other), link=True) as (there, into):
         into.objects = [name for name in there.objects if name == obj.name]
     linked = into.objects[0]
-    good = node.get_input(groups.find_display(linked), groups.BY_SHADER) is False
+    good = node.get_input(groups.find_display(linked), part("scene.display_inputs").BY_SHADER) is False
     stage.check("a saved file has ellipsoids for those without the add-on", good)
     bpy.data.libraries.remove(linked.library)
     bpy.ops.wm.open_mainfile(filepath=str(path))

@@ -26,7 +26,7 @@ METHODS = {
 }
 """Name -> module, which has `create(name) -> Method`."""
 
-PREFIXES = {"ours": "job", "file": "from_file"}
+PREFIXES = {"ours": "job", "file": "from_file", "job": "variant"}
 """What a name begins with, before a colon -> module."""
 
 DESCRIPTIONS = {

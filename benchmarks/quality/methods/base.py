@@ -64,11 +64,13 @@ class MethodInput:
 @dataclass(frozen=True)
 class MethodResult:
     """weights (N, B); note: what a reader of the tables must know; partly: some splats got none by the method
-    itself and follow their nearest bone."""
+    itself and follow their nearest bone; mesh_weights (W, B): of the vertices of the asset's welded mesh, where the
+    method has such."""
 
     weights: NDArray[np.floating]
     note: str = ""
     partly: bool = False
+    mesh_weights: NDArray[np.floating] | None = None
 
 
 @dataclass(frozen=True)

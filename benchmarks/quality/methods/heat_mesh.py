@@ -22,4 +22,4 @@ def make(subject: MethodInput) -> MethodResult:
     weights, bare = complete(found, verts, subject.skeleton)
     note = f"{warning or 'no weights'}: {bare} of {len(verts)} vertices follow their nearest bone" if bare else ""
     corners = weights[new[surface.faces[surface.face]]]
-    return MethodResult(np.einsum("nk,nkb->nb", surface.bary, corners), note, bare > 0)
+    return MethodResult(np.einsum("nk,nkb->nb", surface.bary, corners), note, bare > 0, weights)

@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 
 from gskin_addon.core.guidance import GUIDANCE
+from gskin_addon.core.job.mesh_files import write_mesh
 from gskin_addon.core.job.settings import JobSettings
 from gskin_addon.core.skinning.initial import INITIAL_WEIGHTS
 from gskin_addon.core.skinning.presets import PRESETS
 
 from .base import Method, MethodInput, MethodResult, Unavailable
+from .heat import weld
 from .learned import unseen_model
 
 LIMIT = 1800.0
@@ -45,7 +47,11 @@ def job_settings(name: str) -> dict[str, Any]:
 
 def create(name: str) -> Method:
     """The method; see the module."""
-    settings = job_settings(name)
+    return create_job(job_settings(name))
+
+
+def create_job(settings: dict[str, Any], *, on_mesh: bool = False) -> Method:
+    """The job with settings of job.json; on_mesh: learns on the asset's own mesh, the splats anchored to it."""
     learned = settings.get("init", JobSettings().init) == "learned"
 
     def make(subject: MethodInput) -> MethodResult:
@@ -64,7 +70,10 @@ def create(name: str) -> Method:
                 chosen["options"] = {"oracle_weights": str(truth)}
             checkpoint = Path(folder) / "checkpoint"
             checkpoint.mkdir()
+            if on_mesh:
+                verts, faces, _ = weld(subject.surface.verts, subject.surface.faces)
+                chosen["mesh"] = write_mesh(Path(folder), verts, faces)
             outcome = run(subject.cloud, subject.skeleton, chosen, lambda *_: None, checkpoint)
-        return MethodResult(outcome.weights, note)
+        return MethodResult(outcome.weights, note, mesh_weights=outcome.mesh_weights)
 
     return Method(make, LIMIT)

@@ -30,6 +30,9 @@ LORA = "pytorch_lora_weights.safetensors"
 
 ADAPTER = "default"
 
+SMALLEST = 64
+"""Pixels of the side of a reference image that the pipeline takes."""
+
 
 class Flux2Painter(KleinPainter):
     """Draws the posed picture from noise; one frame after the other, since all references are of one image."""
@@ -123,10 +126,11 @@ class Flux2Painter(KleinPainter):
 
 
 def check_size(size: tuple[int, int], token: int) -> None:
-    """Raise InputError unless an image of `size` (height, width) is made of whole tokens of `token` pixels."""
-    if size[0] % token or size[1] % token:
+    """Raise InputError unless images of `size` (height, width) can be references, in whole tokens of `token` pixels."""
+    if size[0] % token or size[1] % token or min(size) < SMALLEST:
         raise InputError(
-            f"FLUX.2 [klein] cannot paint images of {size[1]} x {size[0]} pixels; take multiples of {token}."
+            f"FLUX.2 [klein] cannot paint images of {size[1]} x {size[0]} pixels; take multiples of {token} from "
+            f"{SMALLEST} on."
         )
 
 
@@ -179,7 +183,8 @@ def load_lora(pipeline: Any, folder: Path) -> None:
             "together."
         ) from error
     own = get_peft_model_state_dict(pipeline.transformer, adapter_name=ADAPTER)
-    strange = sorted({key.removeprefix("transformer.") for key in state} ^ set(own))
+    given = {key.removeprefix("transformer.") for key in state}
+    strange = [*sorted(given - set(own)), *sorted(set(own) - given)]
     if strange:
         raise InputError(
             f"The LoRA '{path}' does not fit this FLUX.2 [klein] model at '{strange[0]}'; choose files that belong "

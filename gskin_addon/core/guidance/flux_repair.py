@@ -59,6 +59,9 @@ _PARTS = {
 }
 _PIPELINES = ("Flux2KleinPipeline", "Flux2KleinInpaintPipeline")
 
+_UNUSED = ("lm_head.", "num_batches_tracked")
+"""Tensors that play no part in painting, and may be missing."""
+
 DISTILLED_STEPS, STEPS = 4, 50
 RESIDENT, LARGEST = 13.0, 10.0
 """GiB of a GPU for the 4B transformer (7.8) and VAE with their work at 512 pixels, and for the transformer alone.
@@ -75,6 +78,7 @@ class KleinPainter:
     def __init__(self, folder: Path, options: KleinOptions) -> None:
         """Raises InputError for files that do not load."""
         import diffusers
+        import transformers
 
         self._device, dtype = compute_device(options.device, options.dtype, half="bfloat16")
         self._options = options
@@ -85,7 +89,11 @@ class KleinPainter:
         try:
             # The text encoder and the transformer are never in memory together.
             kind: Any = getattr(diffusers, self.kind)
-            self._pipeline = kind.from_pretrained(folder, transformer=None, **how)
+            parts = {
+                "vae": _whole(diffusers.AutoencoderKLFlux2, folder, "vae", how),
+                "text_encoder": _whole(transformers.Qwen3ForCausalLM, folder, "text_encoder", how),
+            }
+            self._pipeline = kind.from_pretrained(folder, transformer=None, **parts, **how)
             self._pipeline.set_progress_bar_config(disable=True)
             self._steps = options.steps or (DISTILLED_STEPS if self._pipeline.config.is_distilled else STEPS)
             self._prompt, self._empty = self._encode(offload)
@@ -128,13 +136,22 @@ class KleinPainter:
     def _load_transformer(self, folder: Path, how: dict[str, Any]) -> None:
         import diffusers
 
-        kind: Any = diffusers.Flux2Transformer2DModel
-        transformer, report = kind.from_pretrained(folder, subfolder="transformer", output_loading_info=True, **how)
-        for complaint, words in (("missing_keys", "lacks the tensor"), ("mismatched_keys", "has another shape of")):
-            if report[complaint]:
-                first = sorted(str(key) for key in report[complaint])[0]
-                raise InputError(f"The transformer in '{folder}' {words} '{first}'; get its files again.")
+        transformer = _whole(diffusers.Flux2Transformer2DModel, folder, "transformer", how)
         self._pipeline.register_modules(transformer=transformer.eval())
+
+
+def _whole(kind: Any, folder: Path, part: str, how: Mapping[str, Any]) -> Any:
+    """A model of the pipeline with every tensor from the file; the libraries make up what is missing.
+
+    Raises:
+        InputError: one is missing or has another shape.
+    """
+    model, report = kind.from_pretrained(folder, subfolder=part, output_loading_info=True, **how)
+    for complaint, words in (("missing_keys", "lacks the tensor"), ("mismatched_keys", "has another shape of")):
+        found = sorted(str(key) for key in report[complaint] if not any(name in str(key) for name in _UNUSED))
+        if found:
+            raise InputError(f"The {part} in '{folder}' {words} '{found[0]}'; get its files again.")
+    return model
 
 
 class FluxPainter(KleinPainter):

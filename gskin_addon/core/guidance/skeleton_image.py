@@ -46,11 +46,13 @@ def project_bones(skeleton: Skeleton, transforms: NDArray[Any], camera: Camera) 
     rest = np.stack([segments.starts, segments.ends], axis=1)
     moves = transforms[segments.bone]
     posed = np.einsum("src,sjc->sjr", moves[:, :3, :3], rest) + moves[:, None, :3, 3]
-    seen = []
-    for points in (rest, posed):
-        pixels, depth = camera.project(points)
-        seen.append(np.concatenate([pixels, depth[..., None]], axis=-1).astype(np.float32))
-    return DrawnBones(*seen, segments.bone.astype(np.int16))
+    return DrawnBones(_seen(rest, camera), _seen(posed, camera), segments.bone.astype(np.int16))
+
+
+def _seen(points: NDArray[np.float64], camera: Camera) -> NDArray[np.float32]:
+    """Pixel positions and depths (..., 3) of world points (..., 3)."""
+    pixels, depth = camera.project(points)
+    return np.concatenate([pixels, depth[..., None]], axis=-1).astype(np.float32)
 
 
 def bone_color(bone: int) -> tuple[float, float, float]:

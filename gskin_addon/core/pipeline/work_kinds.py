@@ -11,7 +11,7 @@ from typing import Any
 
 from ..guidance import NO_GUIDANCE
 from ..job.settings import JobSettings
-from ..skinning.fields import FIT_STEPS, RESOLUTION
+from ..skinning.fields import FIT_STEPS, RESOLUTION, WIDTH
 from ..skinning.presets import Preset, preset_by_name
 from ..skinning.visibility_schedule import PRUNE_FROM, visibility_schedule
 
@@ -76,13 +76,15 @@ def field_seconds(field: str, options: Mapping[str, Any], splats: int, bones: in
     if field != "volume":
         return 0.0
     fineness = options.get("resolution", RESOLUTION) / RESOLUTION
-    return float(1.0 + fineness**2 * 0.3 * splats / 50_000 * (0.8 + bones / 100))
+    parameters = (options.get("width", WIDTH) / WIDTH) ** 2
+    return float(parameters + (0.3 + 0.7 * parameters) * fineness**2 * 0.3 * splats / 50_000 * (0.8 + bones / 100))
 
 
 def volume_memory(options: Mapping[str, Any], splats: int, bones: int) -> float:
     """GB that learning in the weight volume takes, measured: the decoder and Adam's two moments, and its features."""
     fineness = options.get("resolution", RESOLUTION) / RESOLUTION
-    return float(1.5 + fineness**2 * splats / 50_000 * (0.15 + bones / 150))
+    parameters = (options.get("width", WIDTH) / WIDTH) ** 2
+    return float(0.5 + parameters + fineness**2 * splats / 50_000 * (0.15 + bones / 150))
 
 
 def learning_kind(size: int) -> str:

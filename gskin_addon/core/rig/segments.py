@@ -13,6 +13,9 @@ from .skeleton import Skeleton
 SHORT, SHORT_LEAF = 0.3, 0.2
 """Share of the way to its farthest child, for a leaf of the way from its parent, below which a bone is a stub."""
 
+POINT = 1e-9
+"""Share of that way below which a leaf has no direction."""
+
 ASIDE = 0.5
 """Cosine below which a bone does not point to a joint that hangs on it."""
 
@@ -64,8 +67,8 @@ def bone_segments(skeleton: Skeleton) -> BoneSegments:
     units get lost on the way through FBX. Where most bones are stubs, each stub with children becomes segments to all
     of them; after setting lengths right, also each bone that ends beyond them, and each root that ends elsewhere than
     at its only child. Where most point aside, every bone with children does, and a leaf goes on as the way from its
-    parent went. Elsewhere a leaf that is a stub keeps its direction and gets the length of that way. All other bones
-    are their own head and tail.
+    parent went, as does one without length anywhere. Elsewhere a leaf that is a stub keeps its direction and gets the
+    length of that way. All other bones are their own head and tail.
     """
     starts, ends, bones = [], [], []
     scale = tail_scale(skeleton)
@@ -85,7 +88,7 @@ def bone_segments(skeleton: Skeleton) -> BoneSegments:
             stub = stubs and lengths[bone] < SHORT * farthest
             if aside or stub or (scale != 1 and _ends_astray(ways, tail - head, parent < 0)):
                 tips = head + ways
-        elif way > 0 and aside:
+        elif way > 0 and (aside or lengths[bone] < POINT * way):
             tips = (head + came)[None]
         elif lengths[bone] < SHORT_LEAF * way:
             tips = (head + (tail - head) / lengths[bone] * way)[None]

@@ -23,7 +23,7 @@ from .bird import bird_front, bird_joints
 from .body_shape import body_shape
 from .joints import HUMAN, MIDDLE, QUADRUPED
 from .landmarks import move_to_landmarks
-from .stance import QUARTER, Standing, quarter_turns, slant, stand
+from .stance import QUARTER, Standing, feet_ahead, quarter_turns, slant, stand
 from .votes import VoteNetwork, features, mirrored
 
 Array = NDArray[Any]
@@ -36,6 +36,9 @@ ALIKE = 0.05
 
 UNSURE = 0.055
 """A fit is unsure where the votes for its joints lie farther apart than this share of the diagonal, in the mean."""
+
+FEET = 0.03
+"""Where that is not clear for a person, feet decide that reach so much farther, in heights, behind the shins."""
 
 CLEAR = 5.0
 """It is clear to where a body looks where the best of four turns is ahead of the next by so much, in logits."""
@@ -195,13 +198,15 @@ def _finished(
     if not landmarks:
         return own, shift, same
     flip = np.array([-1.0, 1.0, 1.0])
-    goals = {name: turn.T @ np.asarray(at, np.float64) - standing.origin for name, at in landmarks.items()}
+    goals: dict[str, Array] = {}
+    for name, at in landmarks.items():
+        goals[name] = turn.T @ np.asarray(at, np.float64) - standing.origin
     twins = {name: name[:-1] + "LR"[name[-1] == "L"] for name in goals if name[-2:] in (".L", ".R")}
     off = [np.linalg.norm(goals[name] - shift - flip * (goals[twin] - shift))
            for name, twin in twins.items() if twin in goals]  # fmt: skip
     if same and alike is None and max(off, default=0.0) > ALIKE * diagonal:
         own, shift, same = both_alike(found, diagonal, False)
-    goals = {name: at - shift for name, at in goals.items()}
+    goals = {name: goal - shift for name, goal in goals.items()}
     if same:
         goals |= {twin: flip * goals[name] for name, twin in twins.items() if twin not in goals}
     own = move_to_landmarks(own, goals, standing.shape.points - shift)
@@ -230,6 +235,9 @@ def _turned(
     looks = [_fits(network, standing) for standing in standings]
     best = int(np.argmax(looks))
     clear = looks[best] - sorted(looks)[-2] > CLEAR
+    opposite = (best + 2) % 4
+    if not clear and looks[opposite] == sorted(looks)[-2] and spec.unit == "height":
+        best = opposite if feet_ahead(standings[best]) < -FEET else best
     return standings[best], (np.linalg.matrix_power(QUARTER, best) @ base).T, bool(clear)
 
 

@@ -51,6 +51,21 @@ def quarter_turns(shape: BodyShape) -> list[BodyShape]:
     return turns
 
 
+def feet_ahead(standing: Standing) -> float:
+    """How much farther the feet of a person reach before the shins than behind them, in heights; 0 where none are."""
+    points, height = standing.shape.points, standing.scale
+    beside = np.abs(points[:, 0]) < 0.25 * height
+    low = beside & (points[:, 2] < 0.05 * height)
+    shin = beside & (points[:, 2] > 0.1 * height) & (points[:, 2] < 0.2 * height)
+    found = []
+    for side in (points[:, 0] > 0, points[:, 0] < 0):
+        foot, leg = points[low & side, 1], points[shin & side, 1]
+        if len(foot) > 3 and len(leg) > 3:
+            middle = float(np.median(leg))
+            found.append(((middle - foot.min()) - (foot.max() - middle)) / height)
+    return float(np.mean(found)) if found else 0.0
+
+
 def slant(points: Array) -> float:
     """How far, in radians within an eighth of a turn, a body at points (M, 3) must be turned about z to stand
     straight: its plane of symmetry across x or y. 0 where nothing tells."""

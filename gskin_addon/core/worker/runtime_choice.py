@@ -27,7 +27,7 @@ NEWEST_PYTHON = (3, 14)
 """The last Python that this torch is built for."""
 
 _WORKER = ("numba>=0.60,<1", "scipy>=1.11,<2", "safetensors>=0.4,<1", "pillow>=10,<14")
-_DIFFUSION = ("diffusers>=0.42,<1", "transformers>=4.50,<6", "accelerate>=1,<2")
+_DIFFUSION = ("diffusers>=0.42,<1", "transformers>=4.50,<6", "accelerate>=1,<2", "peft>=0.14,<1")
 _LICENCES = {
     "torch": "BSD-3-Clause",
     "numba": "BSD-2-Clause",
@@ -38,6 +38,7 @@ _LICENCES = {
     "diffusers": "Apache-2.0",
     "transformers": "Apache-2.0",
     "accelerate": "Apache-2.0",
+    "peft": "Apache-2.0",
     "warp-lang": "Apache-2.0",
 }
 _IMPORTS = {"pillow": "PIL", "warp-lang": "warp"}

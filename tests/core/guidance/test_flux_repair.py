@@ -12,6 +12,7 @@ import pytest
 
 pytest.importorskip("diffusers")
 
+from safetensors.torch import load_file, save_file
 from tiny_flux import save_tiny_flux
 
 from gskin_addon.core.errors import Cancelled, InputError
@@ -250,6 +251,21 @@ def test_damaged_weights_are_told_when_they_are_loaded(copy):
     path = copy / "transformer" / "diffusion_pytorch_model.safetensors"
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(InputError, match="does not load"):
+        FluxPainter(copy, FluxOptions(model=str(copy), device="cpu"))
+
+
+@pytest.mark.parametrize(
+    ("part", "file", "key"),
+    [
+        ("transformer", "diffusion_pytorch_model", "proj_out.weight"),
+        ("vae", "diffusion_pytorch_model", "bn.running_mean"),
+        ("text_encoder", "model", "model.layers.3.mlp.up_proj.weight"),
+    ],
+)
+def test_a_missing_tensor_is_named(copy, part, file, key):
+    path = copy / part / f"{file}.safetensors"
+    save_file({name: value for name, value in load_file(path).items() if name != key}, path, {"format": "pt"})
+    with pytest.raises(InputError, match=rf"The {part} in '.*copy' lacks the tensor '{key}'"):
         FluxPainter(copy, FluxOptions(model=str(copy), device="cpu"))
 
 

@@ -85,6 +85,13 @@ def test_a_head_with_a_jaw_is_no_sign_of_invented_tails():
     np.testing.assert_array_equal(bone_segments(jaw).ends, jaw.tails)
 
 
+def test_a_leaf_without_length_goes_on_as_its_parent_went():
+    skeleton = figure()
+    tails = skeleton.tails.copy()
+    tails[2] = skeleton.heads[2]
+    assert spans(replace(skeleton, tails=tails), "head") == [(0, 0, 19)]
+
+
 def test_bones_without_length_and_children_in_one_place():
     heads = np.zeros((3, 3))
     skeleton = Skeleton(("a", "b", "c"), np.array([-1, 0, 0]), heads, heads)

@@ -12,9 +12,10 @@ import pytest
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.rig.mirror import mirrored_name
 from gskin_addon.core.skeleton import layouts
+from gskin_addon.core.skeleton.body_shape import body_shape
 from gskin_addon.core.skeleton.fit import fit
 from gskin_addon.core.skeleton.landmarks import move_to_landmarks
-from gskin_addon.core.skeleton.stance import slant
+from gskin_addon.core.skeleton.stance import feet_ahead, quarter_turns, slant, stand
 from gskin_addon.core.splats.cloud import SplatCloud
 
 
@@ -166,3 +167,9 @@ def test_a_birds_ends_lie_at_its_ends_and_it_always_wants_looking_at(front):
     for side, sign in (("L", 1), ("R", -1)):
         assert np.linalg.norm(skeleton.heads[place[f"toe.{side}"]] - [sign * 0.08, 0.06, 0.0]) < 0.08
         assert 0.3 < skeleton.heads[place[f"thigh.{side}"], 2] < 0.62
+
+
+def test_feet_reach_to_the_front(person):
+    ahead = [feet_ahead(stand(turn, "height")) for turn in quarter_turns(body_shape(person))]
+    assert ahead[0] > 0.03
+    assert ahead[2] == pytest.approx(-ahead[0], abs=0.01)

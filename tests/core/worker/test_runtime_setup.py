@@ -40,7 +40,7 @@ pytestmark = pytest.mark.skipif(os.name != "posix", reason="the fake pip knows t
 
 FAKE = Path(__file__).resolve().parents[2] / "helpers" / "fake_runtime_setup.py"
 CPU = Choice(BACKENDS["cpu"])
-ALL = ["torch", "numba", "scipy", "safetensors", "pillow", "diffusers", "transformers", "accelerate", "numpy"]
+ALL = ["torch", "numba", "scipy", "safetensors", "pillow", "diffusers", "transformers", "accelerate", "peft", "numpy"]
 
 
 @pytest.fixture
@@ -124,7 +124,7 @@ def test_without_diffusion_and_with_it_later(folder):
     run(folder, choice=Choice(BACKENDS["cpu"], diffusion=False))
     assert "diffusers" not in calls(folder)
     run(folder)
-    assert calls(folder) == ["diffusers", "transformers", "accelerate"]
+    assert calls(folder) == ["diffusers", "transformers", "accelerate", "peft"]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="two backends on one system")

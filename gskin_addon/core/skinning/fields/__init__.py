@@ -30,6 +30,9 @@ LOG_FLOOR = 1e-4
 RESOLUTION = 128
 """Voxels along each axis of the weight volume, the paper's value."""
 
+WIDTH = 1024
+"""Channels of the first voxel of its decoder, the paper's value."""
+
 FINEST, WIDEST = 1024, 4096
 """Bounds of a pyramid's resolutions and of a volume's width: more would fill any memory."""
 

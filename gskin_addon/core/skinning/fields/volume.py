@@ -11,13 +11,12 @@ import torch
 from numpy.typing import NDArray
 
 from ...ticks import Tick, silent
-from . import FIT_STEPS, RESOLUTION
+from . import FIT_STEPS, RESOLUTION, WIDTH
 from .base import WeightField
 from .sparse import CORNERS, SparseProduct, trilinear_matrix, unit_cube
 from .upsample import SparseUpsample, coarse_places
 
 LATENT = 256
-WIDTH = 1024
 SLOPE = 0.2
 """Negative slope of the leaky ReLUs."""
 FIT_RATE = 2e-3

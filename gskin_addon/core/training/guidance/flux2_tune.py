@@ -38,9 +38,7 @@ TARGETS = (
 """The layers that get a LoRA: the projections of all attentions; in the single blocks these hold the MLP too."""
 
 
-def tune(
-    pairs: Path, out: Path, settings: Mapping[str, Any], report: Report, *, allow_download: bool = False
-) -> str:
+def tune(pairs: Path, out: Path, settings: Mapping[str, Any], report: Report, *, allow_download: bool = False) -> str:
     """Train a LoRA on the data set `pairs` and write it to `out`; returns a sentence on how it went.
 
     The same call goes on from the last checkpoint of a stopped one. `out` is then what the option `lora` of the
@@ -146,7 +144,7 @@ class Training:
                 stream = np.random.SeedSequence([options.seed, update, place]).generate_state(1, np.uint64)[0]
                 randomness = torch.Generator().manual_seed(int(stream >> np.uint64(1)))
                 loss = flow_loss(self._painter, self._data[number], randomness)
-                (loss / options.batch).backward()
+                torch.autograd.backward(loss / options.batch)
                 losses.append(float(loss.detach()))
             mean = sum(losses) / len(losses)
             if not math.isfinite(mean):
@@ -270,8 +268,7 @@ def _identity(options: Flux2TuneOptions, folder: Path, start: Path | None, pairs
         "the pairs": [manifest["settings"], manifest["shards"]],
         # Times are left out: a copy of a model is the same model.
         "the models": [
-            [name, size]
-            for name, size, _ in stamp(folder) + (stamp(start, (LORA,)) if start is not None else [])
+            [name, size] for name, size, _ in stamp(folder) + (stamp(start, (LORA,)) if start is not None else [])
         ],
     }
     digests = {

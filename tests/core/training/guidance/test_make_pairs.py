@@ -59,6 +59,14 @@ def test_pairs_are_what_a_guidance_model_is_asked_for(whole):
         assert np.linalg.norm(pair.handles - pair.targets, axis=1).min() > 1
 
 
+def test_pairs_hold_the_skeleton_that_the_points_belong_to(whole):
+    for pair in PairDataset(whole):
+        assert pair.bones.rest.shape == pair.bones.posed.shape == (len(pair.bones.bone), 2, 3)
+        for points, bones in ((pair.handles, pair.bones.rest), (pair.targets, pair.bones.posed)):
+            ends = bones[..., :2].reshape(-1, 2)
+            assert np.linalg.norm(points[:, None] - ends, axis=-1).min(axis=1).max() < 1e-3
+
+
 def test_points_are_where_the_joints_are(assets):
     scene = PairScene(load_asset(assets / "npz" / "fox_1.npz", 600), 64)
     pair = scene.pair(0, np.random.default_rng(0))
