@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 
 import numpy as np
@@ -14,14 +15,15 @@ bpy = pytest.importorskip("bpy")
 
 import gskin_addon
 from gskin_addon.operators.moves_with import clicked_splat
-from gskin_addon.scene import names
+from gskin_addon.scene import names, trial
 from gskin_addon.scene.attributes import read_attribute, write_attribute
 from gskin_addon.scene.display_inputs import DISPLAY_INPUTS, NATIVE
 from gskin_addon.scene.node_groups import get_display, set_display
 from gskin_addon.scene.overlay import OVERLAYS, overlay_of, set_overlay
 from gskin_addon.scene.selecting import posed_points
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud
-from gskin_addon.scene.trial import WIDEST, Player, Trial
+from gskin_addon.scene.steps import run_to_end
+from gskin_addon.scene.trial import WIDEST, Player, Trial, iter_meter
 from gskin_addon.scene.weights import write_weights
 
 COUNT = 500
@@ -226,3 +228,18 @@ def test_played_in_time_with_every_end_and_stopped_at_any_moment(scene):
     assert state(armature) != before
     again.end()
     assert state(armature) == before
+
+
+def test_what_a_trial_needs_is_made_beside_blender(scene, monkeypatch):
+    obj, threads, make = scene[0], [], trial.StretchMeter
+
+    def noted(*args):
+        threads.append(threading.current_thread())
+        return make(*args)
+
+    monkeypatch.setattr(trial, "StretchMeter", noted)
+    meter = run_to_end(iter_meter(obj))
+    assert len(threads) == 1
+    assert threads[0] is not threading.main_thread()
+    assert Trial(obj, meter).meter is meter
+    assert len(threads) == 1, "it is not made again"
