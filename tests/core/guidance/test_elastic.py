@@ -118,7 +118,7 @@ def test_provider_renders_every_signal(limb):
 
 def test_unknown_guidance_names_the_choices(limb):
     context = GuidanceContext(limb.cloud, limb.skeleton, limb.weights, limb.weights)
-    with pytest.raises(InputError, match="elastic, flux_repair"):
+    with pytest.raises(InputError, match="elastic, flux2, flux_repair"):
         create_provider("magic", context)
 
 
