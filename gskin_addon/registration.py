@@ -165,6 +165,9 @@ def unregister() -> None:
 def register_module(module: Any) -> None:
     """Give Blender the classes and handlers of one of `MODULES`."""
     for cls in module.CLASSES:
+        if issubclass(cls, bpy.types.Operator) and "bl_description" not in vars(cls) and cls.__doc__:
+            # The tip in one line: lines of a docstring are indented in one version of Python and not in another.
+            cls.bl_description = " ".join(cls.__doc__.split())
         bpy.utils.register_class(cls)
     for where, handler in getattr(module, "HANDLERS", ()):
         where.append(handler)

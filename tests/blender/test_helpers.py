@@ -11,9 +11,9 @@ import splat_clouds as clouds
 bpy = pytest.importorskip("bpy")
 
 import gskin_addon
-from gskin_addon.scene.display_inputs import OCTAHEDRA
-from gskin_addon.scene.node_builder import get_input
-from gskin_addon.scene.node_groups import find_display
+from gskin_addon.scene.display_inputs import NATIVE, OCTAHEDRA
+from gskin_addon.scene.node_builder import get_input, set_input
+from gskin_addon.scene.node_groups import draws_native, find_display
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud
 from gskin_addon.scene.weights import write_weights
 
@@ -64,6 +64,9 @@ def test_an_appended_figure_is_drawn(rigged_file):
     folder = f"{rigged_file}/Object/"
     bpy.ops.wm.append(filepath=folder + "Figure", directory=folder, filename="Figure")
     obj = bpy.data.objects["Figure"]
+    if draws_native(obj):
+        set_input(find_display(obj), NATIVE, False)
+        bpy.context.view_layer.update()
     drawn = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
     assert len(drawn.vertices) == 6 * int((read_cloud(obj).opacities >= 0.25).sum())
     assert get_input(find_display(obj), OCTAHEDRA) is not None
