@@ -347,7 +347,8 @@ def leave(stage: Stage, painting: Painting) -> Story:
     """Back in Object Mode splats are drawn again, turned as the new weights say."""
     stage.chapter = "leave"
     stage.numbers["leave Weight Paint s"] = yield from switch(stage, painting, "OBJECT")
-    yield stage.soon(lambda: turned_as_computed(painting.splats), 10.0)
+    # Asking for more would evaluate the splats again and again, and keep the slices waiting.
+    yield stage.soon(lambda: not part("scene.handlers").is_unsettled(painting.splats), 10.0)
     stage.check("rotations follow what was painted", turned_as_computed(painting.splats))
     display = part("scene.node_groups").find_display(painting.splats)
     stage.check("the display is back", display.show_viewport)
@@ -417,7 +418,8 @@ def our_buttons(stage: Stage, painting: Painting) -> Story:
         if name == "To Bone":
             free = after[selected, column] + after[selected, locked]
             stage.check("To Bone gives all that is not locked to the bone", np.abs(free - 1).max() < 1e-3)
-        yield stage.soon(lambda: turned_as_computed(painting.splats), 10.0)
+        # Asking for more would evaluate the splats again and again, and keep the slices waiting.
+    yield stage.soon(lambda: not part("scene.handlers").is_unsettled(painting.splats), 10.0)
     stage.chapter = "buttons"
     if painting.splats.mode == "EDIT":
         yield from painting.keys("Tab")
