@@ -23,7 +23,7 @@ import mathutils
 import numpy as np
 from bpy_extras.view3d_utils import location_3d_to_region_2d
 from session import find_rig, find_splats, part, rest, running
-from stage import Hands, Stage, Story, View
+from stage import Hands, Stage, Story, View, Wait
 
 TRIES = 3
 """Drags of the gradient, until one changes weights: on a loaded machine single ones did not arrive."""
@@ -347,8 +347,7 @@ def leave(stage: Stage, painting: Painting) -> Story:
     """Back in Object Mode splats are drawn again, turned as the new weights say."""
     stage.chapter = "leave"
     stage.numbers["leave Weight Paint s"] = yield from switch(stage, painting, "OBJECT")
-    # Asking for more would evaluate the splats again and again, and keep the slices waiting.
-    yield stage.soon(lambda: not part("scene.handlers").is_unsettled(painting.splats), 10.0)
+    yield settled(stage, painting)
     stage.check("rotations follow what was painted", turned_as_computed(painting.splats))
     display = part("scene.node_groups").find_display(painting.splats)
     stage.check("the display is back", display.show_viewport)
@@ -418,11 +417,11 @@ def our_buttons(stage: Stage, painting: Painting) -> Story:
         if name == "To Bone":
             free = after[selected, column] + after[selected, locked]
             stage.check("To Bone gives all that is not locked to the bone", np.abs(free - 1).max() < 1e-3)
-        # Asking for more would evaluate the splats again and again, and keep the slices waiting.
-    yield stage.soon(lambda: not part("scene.handlers").is_unsettled(painting.splats), 10.0)
+        yield settled(stage, painting)
     stage.chapter = "buttons"
     if painting.splats.mode == "EDIT":
         yield from painting.keys("Tab")
+        yield settled(stage, painting)
     stage.check("rotations follow our tools", turned_as_computed(painting.splats))
     yield from painting.hands.shoot("k08_end")
 
@@ -446,6 +445,11 @@ def read_outside(painting: Painting) -> np.ndarray:
     ours = column[pairs[1]] >= 0
     out[pairs[0][ours], column[pairs[1][ours]]] = pairs[2][ours]
     return out
+
+
+def settled(stage: Stage, painting: Painting) -> Wait:
+    """Wait until the new weights turn the splats. Computing turns meanwhile would keep the slices waiting."""
+    return stage.soon(lambda: not part("scene.handlers").is_unsettled(painting.splats), 10.0)
 
 
 def turned_as_computed(splats: Any) -> bool:
