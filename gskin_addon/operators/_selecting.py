@@ -14,7 +14,7 @@ from ..scene.cleanup import out_of_edit_mode
 from ..scene.selecting import active_splat, enter_edit_mode, hidden_now, mark_selected, selected_now
 from ..scene.steps import Steps, part_of
 from ..session.chosen import chosen_splats
-from ._sliced import Sliced
+from ._sliced import SlicedClick
 
 Mask = NDArray[np.bool_]
 
@@ -26,7 +26,7 @@ WAYS = [
 ]
 
 
-class SelectSplats(Sliced):
+class SelectSplats(SlicedClick):
     """Mixin of an operator: `find` says which splats, here they are selected. In Weight Paint with its vertex
     selection, else in Edit Mode."""
 
@@ -52,13 +52,6 @@ class SelectSplats(Sliced):
     def words(self) -> str:
         """What is to be said besides the number of splats that are selected."""
         return ""
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self.asked = True
-        return self.execute(context)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        return self.begin(context)
 
     def work(self, context: bpy.types.Context) -> Steps[str]:
         splats = chosen_splats(context)

@@ -8,10 +8,16 @@ from typing import Any
 import bpy
 
 
-def begin_ticking(operator: Any, context: bpy.types.Context, seconds: float) -> set[str]:
-    """Let a timer call the operator's `modal` every so many seconds; gives what `invoke` or `execute` returns then."""
+def begin_ticking(
+    operator: Any, context: bpy.types.Context, seconds: float, *, modal: bool = False
+) -> set[str]:
+    """Let a timer call the operator's `modal` every so many seconds; gives what `invoke` or `execute` returns then.
+
+    modal: the operator is so already.
+    """
     operator._timer = context.window_manager.event_timer_add(seconds, window=context.window)
-    context.window_manager.modal_handler_add(operator)
+    if not modal:
+        context.window_manager.modal_handler_add(operator)
     return {"RUNNING_MODAL"}
 
 

@@ -15,33 +15,23 @@ from ..scene.bone_frames import armature_of
 from ..scene.seams import read_seams
 from ..scene.single_user import said_of, sharers
 from ..scene.splat_object import read_cloud
-from ..scene.steps import Steps, run_for, run_to_end
+from ..scene.steps import Steps
 from ..scene.weight_edits import Change, iter_edit_weights, selected_splats, shows_selection
 from ..session.chosen import chosen_splats
-from ._ticking import begin_ticking, end_ticking
+from ._sliced import SlicedClick
 
 Array = NDArray[Any]
 
-TICK = 0.1
-"""Seconds between two looks at the work."""
-BUDGET = 0.05
-"""Seconds of slices in each."""
 
-
-class WeightEdit:
+class WeightEdit(SlicedClick):
     """Mixin of an operator: `changes` makes what works on the weights, here it is run, in slices where there is a
     window, in the mode that the artist is in."""
 
     bl_options = {"REGISTER", "UNDO"}
-    bl_label: str
-
+    cancelled = "Cancelled; no weights were changed"
     needs_selection = False
     """Whether it is for selected splats alone; else, where no selection is shown, for all."""
 
-    report: Callable[[set[str], str], None]
-
-    _steps: Steps[int] | None = None
-    _timer: bpy.types.Timer | None = None
     _mode = ""
     _sharers: list[str] = []
     """Objects that have the same mesh and weights as the splats, before these change."""
@@ -69,47 +59,7 @@ class WeightEdit:
         """What is to be said besides the number of splats that changed."""
         return ""
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if bpy.app.background or context.window is None:
-            return self.execute(context)
-        if not self._begin(context):
-            return {"CANCELLED"}
-        return begin_ticking(self, context, TICK)
-
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if event.type == "ESC" and event.value == "PRESS":
-            self._leave(context)
-            self.report({"WARNING"}, "Cancelled; no weights were changed")
-            return {"CANCELLED"}
-        if event.type != "TIMER":
-            return {"RUNNING_MODAL"}  # nobody may change the splats meanwhile
-        try:
-            share = run_for(self._steps, BUDGET)
-        except StopIteration as stop:
-            return self._end(context, stop.value, "")
-        except GSkinError as error:
-            return self._end(context, None, error.plain)
-        except Exception:
-            # Blender frees the operator without a word to it; its mode and status text would stay.
-            self._leave(context)
-            raise
-        if context.workspace is not None:
-            context.workspace.status_text_set(f"{self.bl_label}: {share:.0%}  (Esc cancels)")
-        return {"RUNNING_MODAL"}
-
-    def cancel(self, context: bpy.types.Context) -> None:
-        """Blender ends the operator: another file is loaded, the window closes."""
-        self._steps.close()
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        if not self._begin(context):
-            return {"CANCELLED"}
-        try:
-            return self._end(context, run_to_end(self._steps), "")
-        except GSkinError as error:
-            return self._end(context, None, error.plain)
-
-    def _begin(self, context: bpy.types.Context) -> bool:
+    def work(self, context: bpy.types.Context) -> Steps[int]:
         splats = chosen_splats(context)
         try:
             chosen = shows_selection(splats) or self.needs_selection
@@ -121,12 +71,10 @@ class WeightEdit:
                 # Weights can only be read and written outside it.
                 context.view_layer.objects.active = splats
                 bpy.ops.object.mode_set(mode="OBJECT")
-            self._steps = self.steps(context, splats, selected)
-        except GSkinError as error:
+            return self.steps(context, splats, selected)
+        except GSkinError:
             self._restore(splats)
-            self.report({"ERROR"}, error.plain)
-            return False
-        return True
+            raise
 
     def steps(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Array | None) -> Steps[int]:
         """The work in slices, of which only the last changes the scene; gives the number of splats changed."""
@@ -136,21 +84,13 @@ class WeightEdit:
         """Splats (N,) bool that may change; None for all. `changes` may still mark some of them while it runs."""
         return selected
 
-    def _end(self, context: bpy.types.Context, count: int | None, trouble: str) -> set[str]:
-        self._leave(context)
-        if count is None:
-            self.report({"ERROR"}, trouble)
-            return {"CANCELLED"}
+    def _said(self, context: bpy.types.Context, count: int) -> set[str]:
         splats = chosen_splats(context)
         shared = said_of(splats, self._sharers) if count and splats is not None else ""
-        self.report({"INFO"}, "; ".join(filter(None, (self.done(count), self.words(), shared))))
-        return {"FINISHED"}
+        return super()._said(context, "; ".join(filter(None, (self.done(count), self.words(), shared))))
 
     def _leave(self, context: bpy.types.Context) -> None:
-        self._steps.close()
-        end_ticking(self, context)
-        if context.workspace is not None:
-            context.workspace.status_text_set(None)
+        super()._leave(context)
         splats = chosen_splats(context)
         if splats is not None:
             self._restore(splats)

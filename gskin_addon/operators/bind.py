@@ -20,7 +20,7 @@ from ..scene.splat_object import splat_count
 from ..scene.steps import Steps, in_thread, part_of
 from ..scene.weights import iter_read_weights, iter_write_weights, update_rotation_weights
 from ..session.chosen import chosen_armature, chosen_splats, panel_settings
-from ._sliced import Sliced
+from ._sliced import Sliced, SlicedClick
 
 
 class GSKIN_OT_load_weights(Sliced, bpy.types.Operator, ImportHelper):
@@ -76,7 +76,7 @@ class GSKIN_OT_load_weights(Sliced, bpy.types.Operator, ImportHelper):
         return f"{words}; {shared}" if shared else words
 
 
-class GSKIN_OT_bind_to_armature(Sliced, bpy.types.Operator):
+class GSKIN_OT_bind_to_armature(SlicedClick, bpy.types.Operator):
     """Let the splats follow the armature with the vertex groups that they have"""
 
     bl_idname = "gskin.bind_to_armature"
@@ -86,13 +86,6 @@ class GSKIN_OT_bind_to_armature(Sliced, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         return _has_both(cls, context)
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self.asked = True
-        return self.execute(context)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        return self.begin(context)
 
     def work(self, context: bpy.types.Context) -> Steps[str]:
         """Make the fabric, then bind, in the last slice."""

@@ -18,7 +18,7 @@ from ..scene.selecting import enter_edit_mode, iter_body_of
 from ..scene.steps import Steps, in_thread
 from ..session.chosen import chosen_splats
 from ._selecting import SelectSplats
-from ._sliced import Sliced
+from ._sliced import SlicedClick
 
 Mask = NDArray[np.bool_]
 
@@ -64,7 +64,7 @@ class GSKIN_OT_select_unsure_splats(SelectSplats, bpy.types.Operator):
         return self._bound
 
 
-class GSKIN_OT_next_unsure_cluster(Sliced, bpy.types.Operator):
+class GSKIN_OT_next_unsure_cluster(SlicedClick, bpy.types.Operator):
     """Select the next group of splats that hang together and are the least sure, the worst first, and show it in the
     3D view"""
 
@@ -89,13 +89,6 @@ class GSKIN_OT_next_unsure_cluster(Sliced, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         return knows_confidence(cls, context)
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self.asked = True
-        return self.execute(context)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        return self.begin(context)
 
     def work(self, context: bpy.types.Context) -> Steps[str]:
         splats = chosen_splats(context)

@@ -10,10 +10,10 @@ from ..scene.fabric import has_fabric, iter_make_fabric, strip_fabric
 from ..scene.splat_object import is_splat_object
 from ..scene.steps import Steps
 from ..session.chosen import chosen_splats
-from ._sliced import Sliced
+from ._sliced import SlicedClick
 
 
-class GSKIN_OT_make_paintable(Sliced, bpy.types.Operator):
+class GSKIN_OT_make_paintable(SlicedClick, bpy.types.Operator):
     """Lay a fabric under the splats, so that Blender's brushes and weight tools work on them. It is seen in Weight
     Paint and Edit Mode only, and never rendered or exported. Auto-Skin does this by itself"""
 
@@ -27,13 +27,6 @@ class GSKIN_OT_make_paintable(Sliced, bpy.types.Operator):
             cls.poll_message_set("Select splats")
             return False
         return True
-
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        self.asked = True
-        return self.execute(context)
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        return self.begin(context)
 
     def work(self, context: bpy.types.Context) -> Steps[str]:
         splats = chosen_splats(context)
