@@ -6,14 +6,12 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from ...errors import InputError
 from ...guidance.diffusion import compute_device
 from ...guidance.lightning_drag.files import FINE_TUNED, Files, find_files, read_table
 from ...guidance.lightning_drag.pipeline import LightningDragPainter, Schedule
@@ -24,14 +22,12 @@ from .drag_loss import DragLoss, trained_parameters
 from .examples import Examples, batches
 from .pairs import PairDataset, read_manifest
 from .split import VALIDATION
+from .training_loop import Report, TrainingLoop, diverged
 from .tune_options import TuneOptions
-from .tune_state import Average, check_identity, load_state, put, save_state, write_checkpoint
+from .tune_state import Average, load_state, put, save_state, write_checkpoint
 from .validate import load_lpips, validate
 
-Report = Callable[[float, str], None]
 PRECISION = {torch.float32: "no", torch.float16: "fp16", torch.bfloat16: "bf16"}
-HISTORY = 100
-"""Losses kept, each the mean since the one before."""
 
 
 def tune(
@@ -60,8 +56,8 @@ def tune(
     return summary(read_table(out / FINE_TUNED), out)
 
 
-class Training:
-    """One training: what it is of, and how far it is."""
+class Training(TrainingLoop):
+    """One training of LightningDrag."""
 
     def __init__(
         self,
@@ -74,30 +70,15 @@ class Training:
     ) -> None:
         from accelerate import Accelerator
 
-        self._options, self._files, self._data, self._held_out = options, files, data, held_out
-        self._identity, self._out = identity, out
         device, self._dtype = compute_device(options.device, options.dtype, half="bfloat16")
         self._accelerator = Accelerator(
             mixed_precision=PRECISION[self._dtype],
             gradient_accumulation_steps=options.accumulate,
             cpu=device.type == "cpu",
         )
-        self._size = options.batch * options.accumulate * self._accelerator.num_processes
-        self.total = options.updates or math.ceil(options.epochs * len(data) / self._size)
-        self._update, self._scores = 0, dict[str, Any]()
-        self._losses, self._since = list[dict[str, float]](), list[float]()
-
-    def is_finished(self) -> bool:
-        """Whether `out` already holds the end of this training, or of a longer one.
-
-        Raises:
-            InputError: it holds another training.
-        """
-        if not (self._out / FINE_TUNED).is_file():
-            return False
-        facts = read_table(self._out / FINE_TUNED)
-        check_identity(self._out, facts.get("identity", {}), self._identity)
-        return int(facts.get("updates", 0)) >= self.total
+        size = options.batch * options.accumulate * self._accelerator.num_processes
+        super().__init__(options, data, held_out, identity, out, size)
+        self._files = files
 
     def prepare(self, report: Report) -> None:
         """Load the models, and the checkpoint where there is one."""
@@ -121,31 +102,13 @@ class Training:
         if state is not None:
             self._restore(state)
 
-    def run(self, report: Report) -> None:
-        """Train to the end, validate, and write the weights."""
-        options = self._options
-        self._validate("before", report)
-        epoch = math.ceil(len(self._data) / self._size)
-        saved = time.monotonic()
-        for loss in self._updates():
-            self._update += 1
-            self._since.append(loss)
-            if self._update % max(1, self.total // HISTORY) == 0:
-                mean = sum(self._since) / len(self._since)
-                self._losses.append({"update": self._update, "loss": round(mean, 6)})
-                self._since = []
-            report(0.98 * self._update / self.total, f"Update {self._update} of {self.total}, loss {loss:.4f}")
-            if options.validate_every and self._update % (options.validate_every * epoch) == 0:
-                self._validate(f"update {self._update}", report)
-                self._write()
-            if time.monotonic() - saved >= 60 * options.save_minutes:
-                self._save()
-                saved = time.monotonic()
-        self._save()
-        self._validate("after", report)
-        self._write()
+    def _after_update(self, report: Report) -> None:
+        every = self._options.validate_every * math.ceil(len(self._data) / self._size)
+        if every and self._update % every == 0:
+            self._validate(f"update {self._update}", report)
+            self._write()
 
-    def _updates(self) -> Any:
+    def _updates(self) -> Iterator[float]:
         """The mean loss of each update, as it is done."""
         options, accelerator = self._options, self._accelerator
         examples = Examples(self._data, self._size, self._model.image_encoder.config.image_size, options.seed)
@@ -171,17 +134,14 @@ class Training:
             if len(parts) == options.accumulate:
                 mean = sum(parts) / len(parts)
                 if not math.isfinite(mean) and accelerator.scaler is None:
-                    raise InputError(
-                        "The training diverged (its loss is no longer a number); start again with a lower "
-                        "learning_rate, or dtype=float32."
-                    )
+                    raise diverged()
                 self._average.update(self._update + 1)
                 parts = []
                 yield mean
 
     def _validate(self, when: str, report: Report) -> None:
         options = self._options
-        if self._held_out is None or not options.validation or when in self._scores:
+        if self._held_out is None or self._is_validated(when):
             return
         if not self._accelerator.is_main_process:
             self._accelerator.wait_for_everyone()
@@ -196,11 +156,7 @@ class Training:
             batch=options.batch,
             max_points=0 if tuned else int(start),
         )
-        part = self._update / self.total
-
-        def tell(done: float) -> None:
-            report(0.98 * part + (0.02 * done if when == "after" else 0.0), f"Validation {when}: {done:.0%}")
-
+        tell = self._telling(when, report)
         with self._average.in_place(), self._accelerator.autocast():
             self._scores[when] = validate(painter, self._held_out, options.validation, options.seed, tell, self._lpips)
         self._accelerator.wait_for_everyone()
@@ -208,19 +164,7 @@ class Training:
     def _save(self) -> None:
         if not self._accelerator.is_main_process:
             return
-        scaler = self._accelerator.scaler
-        state = {
-            "identity": dict(self._identity),
-            "update": self._update,
-            "weights": {name: value.detach() for name, value in self._parameters.items()},
-            "average": self._average.values,
-            "adam": self._adam.state_dict(),
-            "scaler": None if scaler is None else scaler.state_dict(),
-            "scores": self._scores,
-            "losses": self._losses,
-            "since": self._since,
-        }
-        save_state(self._out, state)
+        save_state(self._out, self._state(self._adam, self._average.values, self._accelerator.scaler))
 
     def _restore(self, state: Mapping[str, Any]) -> None:
         self._adam.load_state_dict(state["adam"])
@@ -228,24 +172,13 @@ class Training:
             value.copy_(state["average"][name])
         if self._accelerator.scaler is not None and state["scaler"] is not None:
             self._accelerator.scaler.load_state_dict(state["scaler"])
-        self._update, self._scores = state["update"], state["scores"]
-        self._losses, self._since = state["losses"], state["since"]
+        self._go_on_from(state)
 
     def _write(self) -> None:
         if not self._accelerator.is_main_process:
             return
-        facts = {
-            "version": 1,
-            "max_points": 0,
-            "updates": self._update,
-            "epochs": round(self._update * self._size / len(self._data), 2),
-            "pairs": len(self._data),
-            "validation": self._scores,
-            "losses": self._losses,
-            "identity": dict(self._identity),
-        }
         with self._average.in_place():
-            write_checkpoint(self._model, self._out, self._files.lightning_drag, facts)
+            write_checkpoint(self._model, self._out, self._files.lightning_drag, self._facts(max_points=0))
 
 
 def validation_pairs(pairs: Path) -> PairDataset | None:

@@ -6,8 +6,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from ...errors import InputError
 from ...files import replaced, write_json
 from ...guidance.flux2 import ADAPTER, LORA, Flux2Painter, check_size, find_lora, references
 from ...guidance.flux_repair import find_klein
@@ -23,13 +21,12 @@ from ...guidance.lightning_drag.files import FINE_TUNED, read_table
 from ...guidance.model_files import require, stamp
 from ...guidance.skeleton_image import DRAWING_VERSION
 from .examples import pair_number
-from .finetune import HISTORY, summary, validation_pairs
+from .finetune import summary, validation_pairs
 from .flux2_options import Flux2TuneOptions
 from .pairs import Pair, PairDataset, read_manifest
-from .tune_state import check_identity, load_state, put, save_state
+from .training_loop import Report, TrainingLoop, diverged
+from .tune_state import load_state, put, save_state
 from .validate import load_lpips, validate
-
-Report = Callable[[float, str], None]
 
 TARGETS = (
     r"(transformer_blocks\.\d+\.attn\.(to_q|to_k|to_v|to_out\.0|add_q_proj|add_k_proj|add_v_proj|to_add_out)"
@@ -64,8 +61,8 @@ def tune(pairs: Path, out: Path, settings: Mapping[str, Any], report: Report, *,
     return summary(read_table(out / FINE_TUNED), out)
 
 
-class Training:
-    """One training: what it is of, and how far it is."""
+class Training(TrainingLoop):
+    """One training of a LoRA."""
 
     def __init__(
         self,
@@ -76,23 +73,8 @@ class Training:
         identity: Mapping[str, Any],
         out: Path,
     ) -> None:
-        self._options, self._folder, self._data, self._held_out = options, folder, data, held_out
-        self._identity, self._out = identity, out
-        self.total = options.updates or math.ceil(options.epochs * len(data) / options.batch)
-        self._update, self._scores = 0, dict[str, Any]()
-        self._losses, self._since = list[dict[str, float]](), list[float]()
-
-    def is_finished(self) -> bool:
-        """Whether `out` already holds the end of this training, or of a longer one.
-
-        Raises:
-            InputError: it holds another training.
-        """
-        if not (self._out / FINE_TUNED).is_file():
-            return False
-        facts = read_table(self._out / FINE_TUNED)
-        check_identity(self._out, facts.get("identity", {}), self._identity)
-        return int(facts.get("updates", 0)) >= self.total
+        super().__init__(options, data, held_out, identity, out, options.batch)
+        self._folder = folder
 
     def prepare(self, report: Report) -> None:
         """Load the model, add the LoRA, and load the checkpoint where there is one."""
@@ -112,27 +94,7 @@ class Training:
         if state is not None:
             put(self._parameters, state["weights"])
             self._adam.load_state_dict(state["adam"])
-            self._update, self._scores = state["update"], state["scores"]
-            self._losses, self._since = state["losses"], state["since"]
-
-    def run(self, report: Report) -> None:
-        """Train to the end, validate, and write the LoRA."""
-        self._validate("before", report)
-        saved = time.monotonic()
-        for loss in self._updates():
-            self._update += 1
-            self._since.append(loss)
-            if self._update % max(1, self.total // HISTORY) == 0:
-                mean = sum(self._since) / len(self._since)
-                self._losses.append({"update": self._update, "loss": round(mean, 6)})
-                self._since = []
-            report(0.98 * self._update / self.total, f"Update {self._update} of {self.total}, loss {loss:.4f}")
-            if time.monotonic() - saved >= 60 * self._options.save_minutes:
-                self._save()
-                saved = time.monotonic()
-        self._save()
-        self._validate("after", report)
-        self._write()
+            self._go_on_from(state)
 
     def _updates(self) -> Iterator[float]:
         """The mean loss of each update, as it is done."""
@@ -148,10 +110,7 @@ class Training:
                 losses.append(float(loss.detach()))
             mean = sum(losses) / len(losses)
             if not math.isfinite(mean):
-                raise InputError(
-                    "The training diverged (its loss is no longer a number); start again with a lower learning_rate, "
-                    "or dtype=float32."
-                )
+                raise diverged()
             if options.clip:
                 torch.nn.utils.clip_grad_norm_(self._parameters.values(), options.clip)
             self._adam.step()
@@ -159,47 +118,19 @@ class Training:
             yield mean
 
     def _validate(self, when: str, report: Report) -> None:
-        options = self._options
-        if self._held_out is None or not options.validation or when in self._scores:
+        if self._held_out is None or self._is_validated(when):
             return
-        part = self._update / self.total
-
-        def tell(done: float) -> None:
-            report(0.98 * part + (0.02 * done if when == "after" else 0.0), f"Validation {when}: {done:.0%}")
-
+        options, tell = self._options, self._telling(when, report)
         self._scores[when] = validate(
             self._painter, self._held_out, options.validation, options.seed, tell, self._lpips
         )
 
     def _save(self) -> None:
-        save_state(
-            self._out,
-            {
-                "identity": dict(self._identity),
-                "update": self._update,
-                "weights": {name: value.detach() for name, value in self._parameters.items()},
-                "average": {},
-                "adam": self._adam.state_dict(),
-                "scaler": None,
-                "scores": self._scores,
-                "losses": self._losses,
-                "since": self._since,
-            },
-        )
+        save_state(self._out, self._state(self._adam, {}, None))
 
     def _write(self) -> None:
         write_lora(self._painter, self._out / LORA)
-        facts = {
-            "version": 1,
-            "model": "flux2",
-            "updates": self._update,
-            "epochs": round(self._update * self._options.batch / len(self._data), 2),
-            "pairs": len(self._data),
-            "validation": self._scores,
-            "losses": self._losses,
-            "identity": dict(self._identity),
-        }
-        write_json(self._out / FINE_TUNED, facts)
+        write_json(self._out / FINE_TUNED, self._facts(model="flux2"))
 
 
 def trained_parameters(painter: Flux2Painter, options: Flux2TuneOptions) -> dict[str, torch.nn.Parameter]:
