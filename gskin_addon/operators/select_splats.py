@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import bpy
 import numpy as np
 from numpy.typing import NDArray
@@ -123,6 +125,15 @@ class _AlongBody(SelectSplats):
         name="Length", description="So far along the body", default=0.05, min=0.0, soft_max=1.0, unit="LENGTH"
     )
 
+    change: Callable[[BodyGraph, Mask, float], Mask]
+    """From the selection to another, by so many metres."""
+
+    def find(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Mask) -> Steps[Mask]:
+        _need(splats, selected)
+        graph = yield from iter_body_of(splats)
+        far = self.far(graph)
+        return (yield from in_thread(lambda: self.change(graph, selected, far)))
+
     def far(self, graph: BodyGraph) -> float:
         """Metres."""
         return self.length if self.unit == "LENGTH" else self.steps * spacing(graph)
@@ -140,11 +151,7 @@ class GSKIN_OT_grow_splat_selection(_AlongBody, bpy.types.Operator):
     bl_idname = "gskin.grow_splat_selection"
     bl_label = "Grow Selection"
 
-    def find(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Mask) -> Steps[Mask]:
-        _need(splats, selected)
-        graph = yield from iter_body_of(splats)
-        far = self.far(graph)
-        return (yield from in_thread(lambda: grown(graph, selected, far)))
+    change = staticmethod(grown)
 
 
 class GSKIN_OT_shrink_splat_selection(_AlongBody, bpy.types.Operator):
@@ -153,11 +160,7 @@ class GSKIN_OT_shrink_splat_selection(_AlongBody, bpy.types.Operator):
     bl_idname = "gskin.shrink_splat_selection"
     bl_label = "Shrink Selection"
 
-    def find(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Mask) -> Steps[Mask]:
-        _need(splats, selected)
-        graph = yield from iter_body_of(splats)
-        far = self.far(graph)
-        return (yield from in_thread(lambda: shrunk(graph, selected, far)))
+    change = staticmethod(shrunk)
 
 
 class GSKIN_OT_select_in_front(SelectSplats, bpy.types.Operator):

@@ -17,6 +17,7 @@ from ..scene.selecting import mark_selected
 from ..scene.steps import Steps, run_for, run_to_end
 from ..scene.trial import Player, Trial, iter_meter
 from ..session.chosen import chosen_splats
+from ._ticking import begin_ticking, end_ticking
 from .confidence import least
 
 TICK = 1 / 30
@@ -95,11 +96,9 @@ class GSKIN_OT_try_it(bpy.types.Operator):
         if bpy.app.background or context.window is None:
             return self.execute(context)
         self._making = _prepare(chosen_splats(context))
-        self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
         if context.workspace is not None:
             context.workspace.status_text_set("Trying the rig  (Esc stops)")
-        context.window_manager.modal_handler_add(self)
-        return {"RUNNING_MODAL"}
+        return begin_ticking(self, context, TICK)
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if event.type == "ESC" and event.value == "PRESS":
@@ -154,9 +153,7 @@ class GSKIN_OT_try_it(bpy.types.Operator):
         if self._making is not None:
             self._making.close()
             self._making = None
-        if self._timer is not None:
-            context.window_manager.event_timer_remove(self._timer)
-            self._timer = None
+        end_ticking(self, context)
         if context.workspace is not None:
             context.workspace.status_text_set(None)
         if self._trial is not None:
