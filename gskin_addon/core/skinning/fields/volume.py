@@ -89,7 +89,7 @@ class WeightVolume(WeightField):
         if not self._fit_steps:
             return {}
         initial = self.initial()
-        adam = torch.optim.Adam(self.parameters(), lr=FIT_RATE)
+        adam = torch.optim.Adam(self.parameters(), lr=FIT_RATE, fused=True)
         steps, error = 0, math.inf
         while True:
             square = (self() - initial).square()
