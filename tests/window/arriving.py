@@ -59,6 +59,7 @@ def bring_in(view: View, splats: Path, rig: Path, up: str) -> tuple[Any, Any]:
 
 def choose(view: View, active: Any, *others: Any) -> None:
     """Select these and nothing else."""
+    view.window.view_layer.update()  # what has just been removed is still listed before that
     for obj in view.window.view_layer.objects:
         obj.select_set(obj == active or obj in others)
     view.window.view_layer.objects.active = active

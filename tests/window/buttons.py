@@ -15,6 +15,8 @@ ROW, COLUMNS = 16, (0.3, 0.7)
 """Pixels from a row of the search to the next, less than a button is high; where across the side bar it looks."""
 MOMENTS = (0.04, 0.15)
 """Seconds that Blender is given at each place to notice the mouse; the longer where it was too busy."""
+ASIDE = (0, -16, 16, -8, 8)
+"""Pixels above and below where a button was noticed, at which it may be: Blender may have noticed it late."""
 
 Place = tuple[int, int]
 
@@ -45,11 +47,13 @@ class Buttons:
         for moment in (0.0, *MOMENTS):
             if moment:
                 yield from self._search(moment)
-            if name in self._known:
-                yield from self.hands.move(*self._known[name])
-                yield self.stage.soon(lambda: self.under_mouse() == name, 1.0)
+            x, y = self._known.get(name, (0, 0))
+            for off in ASIDE if name in self._known else ():
+                yield from self.hands.move(x, y + off)
+                yield self.stage.soon(lambda: self.under_mouse() == name, 0.4)
                 if self.under_mouse() == name:
-                    return self._known[name]
+                    self._known[name] = x, y + off
+                    return x, y + off
         return None
 
     def press(self, operator: str, what: str, wait: float = 60.0) -> Generator[Wait, None, bool]:

@@ -39,7 +39,7 @@ def story(stage: Stage, options: argparse.Namespace) -> Story:
     yield from arrive(stage, desk.hands, view, *PANELS)
     import_splats(view, options.splats, "z")
     if "skeletons" in wanted:
-        yield from skeletons(desk, options.rig)
+        yield from stage.attempt("the chapter skeletons", skeletons(desk, options.rig))
     _, rig = bring_in(view, options.splats, options.rig, "z")
     rig.show_in_front, rig.data.display_type = True, "STICK"
     remember(view, "Bring in splats and armature")
@@ -50,7 +50,8 @@ def story(stage: Stage, options: argparse.Namespace) -> Story:
     yield from desk.hands.shoot("w10_skinned")
     for name in wanted:
         if name in CHAPTERS:
-            yield from CHAPTERS[name](desk)
+            yield from stage.attempt(f"the chapter {name}", CHAPTERS[name](desk))
+            yield from desk.tab("OBJECT")
             remember(view, name)
     stage.chapter = "end"
 

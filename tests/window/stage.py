@@ -62,6 +62,14 @@ class Stage:
         self.checks.append((what, bool(good), str(seen)))
         print(f"{'ok  ' if good else 'FAIL'} {what}" + (f": {seen}" if str(seen) else ""), flush=True)
 
+    def attempt(self, what: str, story: Story) -> Story:
+        """Play a part of a story; where it raises, that is noted, and the rest goes on."""
+        try:
+            yield from story
+        except Exception as error:
+            traceback.print_exc()
+            self.check(f"{what} runs to its end", False, f"{type(error).__name__}: {error}")
+
     def check_time(self, what: str, seconds: float, bar: float, pace: float) -> None:
         """Note whether something took no longer than `bar` seconds of a quiet machine, at the pace of its time."""
         self.check(what, seconds <= bar * pace, f"{seconds:.3f} s; {bar:g} s at pace {pace:.1f}")

@@ -37,14 +37,13 @@ def showing(desk: Desk) -> Story:
 
 
 def chosen(desk: Desk, place: tuple[int, int], overlay: str) -> Story:
-    """Open the menu and go from the entry that is there to the wanted one by the arrow keys."""
+    """Open the menu and go down to the wanted entry by the arrow keys, which begin above the first."""
     names = [name for name, *_ in part("scene.overlay").OVERLAYS]
-    way = names.index(overlay) - names.index(desk.overlay())
     yield from desk.hands.click(*place)
     yield desk.stage.pause(0.6)
     if overlay == "BONES":
         yield from desk.hands.shoot("w24_menu")
-    yield from desk.hands.keys(*["Down" if way > 0 else "Up"] * abs(way), "Return")
+    yield from desk.hands.keys(*["Down"] * (names.index(overlay) + 1), "Return")
     yield desk.stage.soon(lambda: desk.overlay() == overlay, 4.0)
     yield from desk.hands.move(*desk.view.middle())
 

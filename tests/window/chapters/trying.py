@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import time
 
+import bpy
 import numpy as np
 from addon import rest, working
 from arriving import choose
@@ -35,12 +36,17 @@ def trying(desk: Desk) -> Story:
     yield stage.soon(working, 5.0)
     seen = [before]
     shots = {3.0: "w11_try", 7.0: "w12_try"}
-    while working():
+
+    def note(*_: object) -> None:
         seen.append(pose(desk))
+
+    bpy.app.handlers.depsgraph_update_post.append(note)
+    while working():
         due = [after for after in shots if time.monotonic() - began > after]
         if due:
             yield from desk.hands.shoot(shots.pop(due[0]))
         yield 0.05
+    bpy.app.handlers.depsgraph_update_post.remove(note)
     stage.numbers["Try It s"] = time.monotonic() - began
     stage.note_pauses(stage.chapter, "Try It")
     stage.chapter = "try"
