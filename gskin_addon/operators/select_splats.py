@@ -197,6 +197,7 @@ class GSKIN_OT_select_in_front(SelectSplats, bpy.types.Operator):
         graph = yield from iter_body_of(splats)
         size = max(self.depth, 0.5) * spacing(graph)
         view, lens = np.array(self.view).reshape(4, 4), np.array(self.lens).reshape(4, 4)
+        yield 0.5
         points = posed_points(chosen_splats(context))
         return (yield from in_thread(lambda: in_front(points, view, lens, size)))
 

@@ -110,8 +110,12 @@ def _cut_edited(mesh: ObjectData, labels: Array) -> None:
     work.verts.ensure_lookup_table()
     work.verts.index_update()
     label = labels.tolist()
+    there, count = np.unique(labels[labels != 0], return_counts=True)
+    if len(there) < 2:
+        return
+    most = there[count.argmax()]  # what is cut has another label at one end
     cut = set()
-    for point in np.flatnonzero(labels).tolist():
+    for point in np.flatnonzero((labels != 0) & (labels != most)).tolist():
         vert = work.verts[point]
         for edge in vert.link_edges:
             other = label[edge.other_vert(vert).index]
