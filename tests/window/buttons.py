@@ -46,7 +46,7 @@ class Buttons:
         """Where the button of an operator, or the field of a property by its name, is now; None where it is not."""
         for moment in (0.0, *MOMENTS):
             if moment:
-                yield from self._search(moment)
+                yield from self._search(name, moment)
             x, y = self._known.get(name, (0, 0))
             for off in ASIDE if name in self._known else ():
                 yield from self.hands.move(x, y + off)
@@ -73,6 +73,8 @@ class Buttons:
         done = finished()
         good = done != before and last_name() == operator
         self.stage.check(f"{what} runs to its end", good, last_name())
+        if not good:
+            yield from self.hands.shoot_screen(f"x_{operator}")
         return good
 
     def under_mouse(self) -> str:
@@ -87,21 +89,23 @@ class Buttons:
                 bpy.ops.ui.copy_data_path_button()
         return manager.clipboard
 
-    def _search(self, moment: float) -> Generator[Wait, None, None]:
-        """Move the mouse over the whole side bar, scrolled to its end."""
+    def _search(self, name: str, moment: float) -> Generator[Wait, None, None]:
+        """Move the mouse up the side bar, scrolled to its end, until a button is met."""
         self._known.clear()
         window, region = self.view.window, self.view.region("UI")
         yield from self.hands.move(region.x + region.width // 2, self.view.middle()[1])
         yield from self.hands.wheel(25)
         yield 0.5
-        for y in range(window.height - region.y - region.height + 40, window.height - region.y - 5, ROW):
+        for y in range(window.height - region.y - 8, window.height - region.y - region.height + 40, -ROW):
             for share in COLUMNS:
                 x = region.x + round(share * region.width)
                 window.cursor_warp(x, window.height - y)
                 yield moment
-                name = self.under_mouse()
-                if name:
-                    self._known.setdefault(name, (x, y))
+                found = self.under_mouse()
+                if found:
+                    self._known.setdefault(found, (x, y))
+            if name in self._known:
+                return
 
 
 _hidden: dict[str, type] = {}

@@ -105,7 +105,8 @@ def meant(
     """What a tool is for."""
     stage, locked = desk.stage, desk.column(LOCKED)
     if name in ("Smooth", "Follow Neighbours"):
-        gaps = around.gap(before), around.gap(after)
+        measure = around.rough if name == "Smooth" else around.gap
+        gaps = measure(before), measure(after)
         stage.check(f"{name}: more like those around", gaps[1] < gaps[0], f"{gaps[0]:.3f} apart, now {gaps[1]:.3f}")
     elif name == "Sharpen":
         changed = (after != before).any(axis=1)
@@ -127,16 +128,22 @@ def there_and_back(desk: Desk, what: str, before: np.ndarray, after: np.ndarray)
 
 
 class Around:
-    """Selected splats and those not selected that each is nearest to."""
+    """Selected splats, those not selected that each is nearest to, and the nearest of all."""
 
     def __init__(self, desk: Desk, selected: np.ndarray) -> None:
         points, others = desk.points(), np.flatnonzero(~selected)
         inside = np.flatnonzero(selected)
         self.inside = inside[:: max(1, len(inside) // SAMPLE)]
         self.outside = others[near(points[self.inside], points[others])]
+        away = [np.linalg.norm(points - points[one], axis=1) for one in self.inside]
+        self.beside = np.array([np.argpartition(one, 9)[:9] for one in away])
+
+    def rough(self, weights: np.ndarray) -> float:
+        """How far the weights are from the mean of those beside in the mean, 0 to 2."""
+        return float(np.abs(weights[self.inside] - weights[self.beside].mean(axis=1)).sum(axis=1).mean())
 
     def gap(self, weights: np.ndarray) -> float:
-        """How far apart the weights of both are in the mean, 0 to 2."""
+        """How far apart the weights inside and outside are in the mean, 0 to 2."""
         return float(np.abs(weights[self.inside] - weights[self.outside]).sum(axis=1).mean())
 
 
