@@ -17,6 +17,8 @@ MOMENTS = (0.04, 0.15)
 """Seconds that Blender is given at each place to notice the mouse; the longer where it was too busy."""
 ASIDE = (0, -16, 16, -8, 8)
 """Pixels above and below where a button was noticed, at which it may be: Blender may have noticed it late."""
+STEADY = 4
+"""Times that a button may have moved before it is clicked."""
 
 Place = tuple[int, int]
 
@@ -43,7 +45,22 @@ class Buttons:
         yield 0.5
 
     def find(self, name: str) -> Generator[Wait, None, Place | None]:
-        """Where the button of an operator, or the field of a property by its name, is now; None where it is not."""
+        """Where the button of an operator, or the field of a property by its name, is and stays; None where it is
+        not."""
+        self.view.region("UI").tag_redraw()
+        yield self.stage.pause(0.5)
+        for _ in range(STEADY):
+            place = yield from self._find(name)
+            if place is None:
+                return None
+            # What was done last may still change the panel above.
+            yield self.stage.pause(0.5)
+            yield from self.hands.move(place[0] + 1, place[1])
+            if self.under_mouse() == name:
+                return place
+        return None
+
+    def _find(self, name: str) -> Generator[Wait, None, Place | None]:
         for moment in (0.0, *MOMENTS):
             if moment:
                 yield from self._search(name, moment)
