@@ -17,12 +17,13 @@ from . import names
 from .armature import deform_bone_names
 from .binding import bind, check_splats
 from .bone_frames import armature_of, bone_order
+from .compared import mark_edited
 from .influences import strongest, write_influences
 from .object_ref import ObjectRef
 from .rotation_nodes import frames_of
 from .steps import Steps, in_thread, part_of
 from .vertex_groups import GroupsAside, group_state, restore_group_state
-from .weights import iter_read_weights, mark_edited
+from .weights import iter_read_weights
 
 Array = NDArray[Any]
 
