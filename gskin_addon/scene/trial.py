@@ -65,14 +65,8 @@ class Trial:
 
     def __init__(self, splats: bpy.types.Object, meter: StretchMeter | None = None) -> None:
         """meter: as from `iter_meter`, which is made here otherwise."""
-        meter = meter or run_to_end(iter_meter(splats))
-        armature, frames, stored = _parts_of(splats)
-        self.armature, self.meter = armature, meter
-        if bone_order(frames) != deform_bone_names(armature):
-            raise InputError(f"The bones of '{armature.name}' have changed; click Bind Splats to Armature.")
-        self.swings = swings_of(armature, bone_order(frames), *stored)
-        if not self.swings:
-            raise InputError(f"No bone of '{armature.name}' that moves splats of '{splats.name}' can be turned.")
+        self.meter = meter or run_to_end(iter_meter(splats))
+        self.armature, self.swings = rig_swings(splats)
         self.stretch = np.ones(len(self.meter.means), np.float32)
         self.worst = np.full(len(self.stretch), -1)
         self._channels: Channels = {}
@@ -108,7 +102,7 @@ class Trial:
         restore(self.armature, self._channels)
         for name, axis, low, high in sample.swing.bones:
             angle = high * sample.reach if sample.reach > 0 else -low * sample.reach
-            _turn(self.armature.pose.bones[name], axis, angle)
+            turn_about(self.armature.pose.bones[name], axis, angle)
         bpy.context.view_layer.update()
 
     def measure(self, number: int, transforms: Array) -> None:
@@ -199,6 +193,18 @@ class Player:
         return True
 
 
+def rig_swings(splats: bpy.types.Object) -> tuple[bpy.types.Object, list[Swing]]:
+    """The armature of the splats, and the swings of its bones. Raises InputError: no armature, or no bone that could
+    be turned."""
+    armature, frames, stored = _parts_of(splats)
+    if bone_order(frames) != deform_bone_names(armature):
+        raise InputError(f"The bones of '{armature.name}' have changed; click Bind Splats to Armature.")
+    swings = swings_of(armature, bone_order(frames), *stored)
+    if not swings:
+        raise InputError(f"No bone of '{armature.name}' that moves splats of '{splats.name}' can be turned.")
+    return armature, swings
+
+
 def swings_of(armature: bpy.types.Object, order: list[str], index: Array, value: Array) -> list[Swing]:
     """The swings of a rig whose bones `order` move splats with index (N, K) and weights value (N, K)."""
     share = np.bincount(index[(index >= 0) & (value > 0.3)], minlength=len(order)) / max(1, len(index))
@@ -206,9 +212,10 @@ def swings_of(armature: bpy.types.Object, order: list[str], index: Array, value:
     bones = armature.pose.bones
     moves = {b.name: sum(own.get(c.name, 0.0) for c in (b, *b.children_recursive)) for b in bones}
     roots = [b for b in bones if b.name in own and not any(p.name in own for p in b.parent_recursive)]
+    held = {name: why_held(armature, name) for name in own}
     tried = []
     for name in deform_bone_names(armature):
-        if moves[name] < LEAST or "is driven" in why_held(armature, name):
+        if moves[name] < LEAST or "is driven" in held[name]:
             continue
         if len(roots) == 1 and bones[name] == roots[0] and len(own) > 1:
             continue  # it would only turn the whole figure
@@ -219,7 +226,7 @@ def swings_of(armature: bpy.types.Object, order: list[str], index: Array, value:
         depth[name] = max(above, default=-1) + 1
     found = []
     for level in range(max(depth.values(), default=-1) + 1):
-        ranges = {name: _ranges(bones[name]) for name in tried if depth[name] == level}
+        ranges = {name: _ranges(bones[name], bool(held[name])) for name in tried if depth[name] == level}
         for axis in (0, 2, 1):
             swinging = tuple((name, axis, *r[axis]) for name, r in ranges.items() if axis in r)
             if swinging:
@@ -227,13 +234,17 @@ def swings_of(armature: bpy.types.Object, order: list[str], index: Array, value:
     return found
 
 
-def _ranges(bone: bpy.types.PoseBone) -> dict[int, tuple[float, float]]:
-    """By axis: how far a bone may turn about it, radians; no entry for one about which it does not."""
+def _ranges(bone: bpy.types.PoseBone, held: bool) -> dict[int, tuple[float, float]]:
+    """By axis: how far a bone may turn about it, radians; no entry for one about which it does not.
+
+    held: constraints turn the bone. Locks of its channels then keep hands off it (Rigify locks all deform bones) and
+    say nothing of how it moves.
+    """
     found = {0: (-WIDEST, WIDEST), 2: (-WIDEST, WIDEST)}
     for axis, letter in enumerate("xyz"):
         if getattr(bone, f"use_ik_limit_{letter}"):
             found[axis] = getattr(bone, f"ik_min_{letter}"), getattr(bone, f"ik_max_{letter}")
-        if getattr(bone, f"lock_ik_{letter}") or bone.lock_rotation[axis]:
+        if getattr(bone, f"lock_ik_{letter}") or (bone.lock_rotation[axis] and not held):
             found.pop(axis, None)
     for constraint in bone.constraints:
         if constraint.type == "LIMIT_ROTATION" and constraint.owner_space == "LOCAL" and not constraint.mute:
@@ -244,7 +255,7 @@ def _ranges(bone: bpy.types.PoseBone) -> dict[int, tuple[float, float]]:
     return {axis: (min(low, 0.0), max(high, 0.0)) for axis, (low, high) in full.items() if high - low > 1e-3}
 
 
-def _turn(bone: bpy.types.PoseBone, axis: int, angle: float) -> None:
+def turn_about(bone: bpy.types.PoseBone, axis: int, angle: float) -> None:
     """Turn a bone about one of its own axes, on top of its pose."""
     turn = mathutils.Quaternion(mathutils.Vector([float(k == axis) for k in range(3)]), angle)
     if bone.rotation_mode == "QUATERNION":
