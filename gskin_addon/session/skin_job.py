@@ -71,6 +71,7 @@ class SkinJob:
     kept: bool = False
     only: Array | None = None
     paintable: bool = False
+    edges_only: bool = False
     started: float = field(default_factory=time.monotonic)
     progress: ProgressEvent = field(default_factory=lambda: ProgressEvent("start"))
     progress_at: float = field(default_factory=time.monotonic)
@@ -156,6 +157,7 @@ class SkinJob:
             folder is not None,
             only,
             paintable,
+            chosen.edges_only,
         )
 
     def wait(self, show: Callable[[ProgressEvent], None]) -> None:
@@ -214,7 +216,8 @@ class SkinJob:
             if result.mesh_weights is None:
                 raise GSkinError("The worker gave no weights for the mesh; run Auto-Skin again.")
             weights = result.weights, result.mesh_weights
-            yield from iter_write_weights_through(splats, proxies[0], armature, *weights, result.bones, **options)
+            through = splats, proxies[0], armature, *weights, result.bones
+            yield from iter_write_weights_through(*through, **options, edges_only=self.edges_only)
         elif self.only is not None or locked_groups(splats, result.bones):
             words = yield from self._merge(splats, armature, result)
         else:
