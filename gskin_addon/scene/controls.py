@@ -23,6 +23,9 @@ MISS = 0.3
 _TRIED, _NEAR = 32, 6
 """The most controls that are tried, the nearest first: for the best one, and for one that is near."""
 
+_AT_JOINT = 0.05
+"""Part of a bone's length by which a control that sits at its joint may be off."""
+
 INNER = ("DEF-", "ORG-", "MCH-")
 """What rigs call bones that no artist is to touch."""
 
@@ -72,8 +75,14 @@ def near_control(
     armature: bpy.types.Object, bone: str, turn: Callable[[str], None], restore: Callable[[], None]
 ) -> Control | None:
     """The first of the nearest controls that turns `bone` as asked, where every bone of a rig is looked at and the best
-    one (`find_control`) would take too long. turn, restore: as there; the rig must be in its rest pose."""
-    candidates = [name for name in controls(armature, bone) if "tweak" not in name][:_NEAR]
+    one (`find_control`) would take too long. turn, restore: as there, restore without an update; the rig must be in its
+    rest pose."""
+    bones = armature.data.bones
+    near = bones[bone].length * _AT_JOINT
+    found = [name for name in controls(armature, bone) if "tweak" not in name]
+    # What turns a bone about its joint mostly sits there.
+    at_joint = [name for name in found if (bones[name].head_local - bones[bone].head_local).length <= near]
+    candidates = (at_joint or found)[:_NEAR]
     switch = switches(armature, [bone, *sources(armature, bone)])[:_NEAR]
     own = armature.pose.bones[bone].matrix_basis.to_quaternion()
     with without_followers(armature):
@@ -82,19 +91,23 @@ def near_control(
         asked = own.inverted() @ armature.pose.bones[bone].matrix_basis.to_quaternion()
         restore()
 
-        def turns(name: str) -> bool:
-            turn(name)
-            after = _matrix(armature, bone).to_quaternion()
-            restore()
-            return _angle(before @ asked, after) <= MISS * max(asked.angle, 1e-6)
+        def first() -> str | None:
+            for name in candidates:
+                turn(name)
+                after = _matrix(armature, bone).to_quaternion()
+                restore()
+                if _angle(before @ asked, after) <= MISS * max(asked.angle, 1e-6):
+                    return name
+            return None
 
-        for name in candidates:
-            if turns(name):
-                return Control(name)
-            for owner, prop in switch:
-                with switched(armature, owner, prop) as value:
-                    if turns(name):
-                        return Control(name, owner, prop, value)
+        name = first()
+        if name is not None:
+            return Control(name)
+        for owner, prop in switch:
+            with switched(armature, owner, prop) as value:
+                name = first()
+            if name is not None:
+                return Control(name, owner, prop, value)
     return None
 
 

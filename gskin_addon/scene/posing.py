@@ -97,12 +97,13 @@ def channels(armature: bpy.types.Object, names: Iterable[str] | None = None) -> 
     }
 
 
-def restore(armature: bpy.types.Object, before: Channels) -> None:
-    """Set what `channels` took."""
+def restore(armature: bpy.types.Object, before: Channels, *, update: bool = True) -> None:
+    """Set what `channels` took; the rig is evaluated anew unless it will be anyway."""
     for name, values in before.items():
         bone = armature.pose.bones[name]
         setattr(bone, rotation_channel(bone), values)
-    bpy.context.view_layer.update()
+    if update:
+        bpy.context.view_layer.update()
 
 
 def pose_matrices(armature: bpy.types.Object) -> dict[str, mathutils.Matrix]:

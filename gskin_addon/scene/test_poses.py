@@ -166,12 +166,15 @@ def _control_of(
     if all(constraint.type == "LIMIT_ROTATION" for constraint in bone.constraints):
         turn_about(bone, axis, angle)
         free = all_free(armature, {name: bone.matrix_basis.copy()})
-        restore(armature, before)
+        restore(armature, before, update=False)
         if free:
             return Control(name)
     vector = _world_vector(armature, name, axis, angle)
     return near_control(
-        armature, name, lambda other: turn_bone(armature, other, vector), lambda: restore(armature, before)
+        armature,
+        name,
+        lambda other: turn_bone(armature, other, vector),
+        lambda: restore(armature, before, update=False),
     )
 
 
@@ -196,7 +199,7 @@ def _turned(
         try:
             yield
         finally:
-            restore(armature, before)
+            restore(armature, before, update=False)
 
 
 def _keys(armature: bpy.types.Object, control: Control) -> list[tuple[str, int]]:

@@ -12,6 +12,7 @@ bpy = pytest.importorskip("bpy")
 
 import gskin_addon
 from gskin_addon.core.errors import InputError
+from gskin_addon.operators import try_it
 from gskin_addon.scene.asset_catalog import FILE, ensure_catalog
 from gskin_addon.scene.pose_assets import poses_of, read_pose
 from gskin_addon.scene.splat_object import create_splat_object
@@ -158,6 +159,36 @@ def test_again_it_replaces_its_own_and_leaves_others(scene):
     other = bpy.data.objects.new("Other", armature.data.copy())
     bpy.context.scene.collection.objects.link(other)
     assert len(poses_of(armature)) == 7
+
+
+def test_try_it_plays_the_pose_library(scene):
+    obj, armature = scene
+    with pytest.raises(RuntimeError, match="no pose assets of 'Rig'"):
+        bpy.ops.gskin.try_it(poses="LIBRARY")
+    assert bpy.ops.gskin.test_poses(previews=False) == {"FINISHED"}
+    crouch = bpy.data.actions["arm.L Up"].copy()
+    crouch.name = "Crouch"
+    crouch.asset_mark()
+    for action in list(assets().values()):
+        if action != crouch:
+            action.asset_clear()
+    armature.pose.bones["arm.L"].rotation_quaternion = (0.9, 0.1, 0.2, 0.3)
+    before = [tuple(map(tuple, bone.matrix_basis)) for bone in armature.pose.bones]
+    trial = Trial(obj, library=True)
+    trial.begin()
+    (end,) = [sample for sample in trial.samples if sample.is_end]
+    trial.show(end)
+    played = rigs.posed_in_blender(obj)[0]
+    trial.show(trial.samples[0])
+    half = rigs.posed_in_blender(obj)[0]
+    trial.end()
+    assert [tuple(map(tuple, bone.matrix_basis)) for bone in armature.pose.bones] == before
+    assert np.abs(half - played).max() > 0.1
+    apply(armature, crouch)
+    np.testing.assert_allclose(rigs.posed_in_blender(obj)[0], played, atol=1e-5)
+    assert bpy.ops.gskin.try_it(poses="LIBRARY", beyond=1.01, most=50) == {"FINISHED"}
+    assert sum(vertex.select for vertex in obj.data.vertices) > 0
+    assert try_it._last[obj.data.session_uid].to_blame(np.ones(COUNT, bool)) == ["Crouch"]
 
 
 def test_a_bone_that_is_held_is_turned_by_its_control(scene):
