@@ -20,7 +20,7 @@ def job_settings(options: argparse.Namespace, of_guidance: Mapping[str, Any]) ->
     of_guidance: the guidance's settings, of the types that it wants.
 
     Raises:
-        InputError: a pair that is none.
+        InputError: a pair that is none, --edges-only without a mesh.
     """
     settings = {
         "preset": options.preset,
@@ -35,6 +35,10 @@ def job_settings(options: argparse.Namespace, of_guidance: Mapping[str, Any]) ->
     settings |= {name: getattr(options, name) for name in _OF_PRESETS if getattr(options, name) is not None}
     if options.loss:
         settings["losses"] = parse_options(options.loss, "--loss")
+    if options.edges_only:
+        if options.mesh is None:
+            raise InputError("--edges-only is about a proxy mesh; name one with --mesh, or leave it out.")
+        settings["edges_only"] = True
     if options.field_option:
         settings["field_options"] = parse_options(options.field_option, "--field-option")
     return settings

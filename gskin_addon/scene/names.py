@@ -95,6 +95,9 @@ ROTATION_MODIFIER = "GSkin Rotation"
 DISPLAY_MODIFIER = "GSkin Display"
 ANCHOR_MODIFIER = "GSkin Anchor"
 
+TEST_POSE = "gskin_test_pose"
+"""Custom property of an armature and of the pose assets that were made for it: the same word on all of them."""
+
 ANCHOR_MARK = "gskin_anchor_mesh"
 """Custom property that marks the hidden helper mesh of anchored splats."""
 
