@@ -11,6 +11,7 @@ from ..core.errors import InputError
 from . import names
 from .bone_frames import armature_modifier, ensure_bone_frames, has_bendy_bones
 from .node_groups import find_display
+from .probes import follow_stack
 from .rotation_nodes import add_rotation, rotation_steps
 from .splat_object import is_splat_object, refuse_edit_mode
 from .steps import Steps
@@ -25,6 +26,7 @@ def bind(obj: bpy.types.Object, armature: bpy.types.Object) -> bpy.types.Object:
     check_splats(obj)
     frames = ensure_bone_frames(armature)
     add_rotation(obj, frames, follow(obj, armature))
+    follow_stack(obj)
     return frames
 
 

@@ -18,6 +18,7 @@ from .binding import bind, check_splats
 from .bone_frames import armature_of, bone_order
 from .influences import strongest, write_influences
 from .object_ref import ObjectRef
+from .probes import follow_stack
 from .rotation_nodes import frames_of
 from .steps import Steps, in_thread, part_of
 from .vertex_groups import GroupsAside, group_state, restore_group_state
@@ -79,6 +80,7 @@ def iter_edit_weights(
         obj = groups.commit()
     restore_group_state(obj, state)
     write_influences(obj, bone_order(frames), bones, index, value)
+    follow_stack(obj)
     mark_edited(obj, True)
     return count
 
