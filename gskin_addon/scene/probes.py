@@ -153,6 +153,8 @@ def _make(obj: bpy.types.Object, step: float) -> list[bpy.types.Object]:
     for constraint in list(first.constraints):
         first.constraints.remove(constraint)
     first.constraints.new("COPY_TRANSFORMS").target = obj
+    if first.asset_data is not None:
+        first.asset_clear()
     hide_helper(first)
     for axis in "XYZ":
         displace = first.modifiers.new(f"{_DISPLACE} {axis}", "DISPLACE")

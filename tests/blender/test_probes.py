@@ -16,7 +16,9 @@ from finite_differences import apart, covariances, shown
 
 import gskin_addon
 from gskin_addon.core.rig.quaternion import quat_to_matrix
-from gskin_addon.scene import handlers, leftovers
+from gskin_addon.scene import handlers, leftovers, names
+from gskin_addon.scene.attributes import read_attribute
+from gskin_addon.scene.bone_frames import armature_of
 from gskin_addon.scene.deform_stack import measured_splats, not_in_the_viewport, shown_wrongly
 from gskin_addon.scene.drawn import bare, read_drawn
 from gskin_addon.scene.helpers import is_helper
@@ -267,6 +269,17 @@ def test_another_armature_from_the_menu(scene):
     assert_right(scene.splats)
 
 
+def test_tools_stay_with_the_armature_that_the_splats_are_bound_to(scene):
+    first = follow_prop(scene, 0)
+    assert armature_of(scene.splats) == scene.body
+    cloud = read_cloud(scene.splats)
+    write_weights(scene.splats, scene.body, rigs.random_weights(cloud, BONES, np.random.default_rng(2)))
+    assert [m.object for m in scene.splats.modifiers if m.type == "ARMATURE"] == [scene.prop, scene.body]
+    assert first.object == scene.prop
+    bpy.context.view_layer.update()
+    assert_right(scene.splats)
+
+
 def test_weights_of_the_other_armature_painted(scene):
     follow_prop(scene)
     bpy.context.view_layer.objects.active = scene.splats
@@ -403,6 +416,33 @@ def test_saved_loaded_and_appended(scene, tmp_path):
     pose(named("Body"), named("Prop"), seed=7)
     assert_right(named("S"))
     assert not [probe for probe in bpy.data.objects if is_probe(probe) and probe.users_collection]
+
+
+def test_linked_and_overridden(scene, tmp_path):
+    follow_prop(scene)
+    figure = bpy.data.collections.new("Figure")
+    bpy.context.scene.collection.children.link(figure)
+    for obj in (scene.splats, scene.body, scene.prop):
+        figure.objects.link(obj)
+    path = str(tmp_path / "figure.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    with bpy.data.libraries.load(path, link=True) as (_, target):
+        target.collections = ["Figure"]
+    linked = target.collections[0]
+    bpy.context.scene.collection.children.link(linked)
+    bpy.context.view_layer.update()
+    splats = linked.objects["S"]
+    assert not_in_the_viewport(splats) == []
+    with bare([splats]):
+        bpy.context.view_layer.update()
+        mesh = splats.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+        assert degrees(read_attribute(mesh, names.TURN), measured_splats(splats)[3]).max() < DEGREES
+    made = linked.override_hierarchy_create(bpy.context.scene, bpy.context.view_layer)
+    bpy.context.scene.collection.children.unlink(linked)
+    bpy.context.view_layer.update()
+    pose(made.all_objects["Body"], made.all_objects["Prop"], seed=4)
+    assert_right(made.all_objects["S"])
 
 
 # --- what does not follow is said
