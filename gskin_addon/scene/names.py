@@ -26,6 +26,9 @@ FRAMES_MARK = "gskin_bone_frames"
 FRAMES_LAYOUT = "gskin_layout"
 """Custom property of the bone frames: what their points were made for."""
 
+PROBE_MARK = "gskin_probe"
+"""Custom property that marks the hidden probes of a splat object, and their mesh."""
+
 OCTAHEDRA_MARK = "gskin_octahedra"
 """Custom property that marks the hidden helper whose faces the display borrows."""
 OCTAHEDRON_MARK = "gskin_octahedron"

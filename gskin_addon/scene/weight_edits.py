@@ -22,6 +22,7 @@ from .compared import mark_edited
 from .edited_weights import EditedRef, iter_write_edited
 from .influences import strongest, write_influences
 from .object_ref import ObjectRef
+from .probes import follow_stack
 from .rotation_nodes import frames_of
 from .stand_in import readable
 from .steps import Steps, in_thread, part_of
@@ -103,6 +104,7 @@ def iter_edit_weights(
         obj = groups.commit()
     restore_group_state(obj, state)
     write_influences(obj, bone_order(frames), bones, index, value)
+    follow_stack(obj)
     mark_edited(obj, True)
     return count
 
