@@ -50,8 +50,8 @@ def follow(
 
     Like Ctrl-P > Armature Deform, so that moving the armature object carries the mesh along.
     """
-    there = [modifier for modifier in obj.modifiers if modifier.type == "ARMATURE" and modifier.object == armature]
-    modifier = next(iter(there), None) or armature_modifier(obj)
+    every: list[Any] = [modifier for modifier in obj.modifiers if modifier.type == "ARMATURE"]
+    modifier = next((m for m in every if m.object == armature), armature_modifier(obj))
     set_parent(obj, armature, keep_parent=keep_parent)
     if modifier is None:
         new: Any = obj.modifiers.new(names.ARMATURE_MODIFIER, "ARMATURE")

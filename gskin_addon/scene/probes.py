@@ -97,11 +97,11 @@ def follow_stack(obj: bpy.types.Object) -> None:
     put_before_display(obj)
     bendy = has_joints(frames)
     if not needs_probes(obj):
-        if probes_of(obj):
+        if has_input(modifier, PROBES[0]):
             # Blender 5.2 goes on counting a user of what an input named that is there no more.
             for label in PROBES:
                 set_input(modifier, label, None)
-        modifier.node_group = rotation_group(bendy=bendy)
+            modifier.node_group = rotation_group(bendy=bendy)
         return
     step = _step(obj)
     probes = _make(obj, step)
@@ -136,8 +136,9 @@ def _behind_display(obj: bpy.types.Object) -> list[str]:
 
 
 def _step(obj: bpy.types.Object) -> float:
-    low, high = np.percentile(read_positions(obj.data), _MIDDLE, axis=0)
-    return DISTANCE * float((high - low).max()) or DISTANCE
+    points = read_positions(obj.data)
+    low, high = np.percentile(points, _MIDDLE, axis=0) if len(points) else (points, points)
+    return DISTANCE * float((high - low).max(initial=0.0)) or DISTANCE
 
 
 def _make(obj: bpy.types.Object, step: float) -> list[bpy.types.Object]:
@@ -194,7 +195,7 @@ def _same(a: Any, b: Any) -> bool:
 
 
 def _settings(modifier: Any) -> list[Any]:
-    single, arrays = _moving(type(modifier))
+    single, arrays = _moving(type(modifier).__name__)
     found = [getattr(modifier, name) for name in single] + [tuple(getattr(modifier, name)) for name in arrays]
     if modifier.type == "NODES" and modifier.node_group is not None:
         found.append(input_values(modifier))
@@ -202,10 +203,10 @@ def _settings(modifier: Any) -> list[Any]:
 
 
 @cache
-def _moving(kind: Any) -> tuple[list[str], list[str]]:
+def _moving(kind: str) -> tuple[list[str], list[str]]:
     """Names of the properties of a class of modifiers that can be set and move something: single ones and arrays."""
     found: tuple[list[str], list[str]] = [], []
-    for prop in kind.bl_rna.properties:
+    for prop in getattr(bpy.types, kind).bl_rna.properties:
         aside = prop.identifier in _ASIDE or prop.identifier.startswith("open_")
         if not (prop.is_readonly or aside or prop.type == "COLLECTION"):
             found[bool(getattr(prop, "is_array", False))].append(prop.identifier)

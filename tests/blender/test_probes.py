@@ -369,6 +369,21 @@ def test_a_duplicate_has_probes_of_its_own(scene, linked):
     assert_right(scene.splats)
 
 
+def test_in_a_window_they_are_made_between_redraws(scene, monkeypatch):
+    monkeypatch.setattr(handlers, "_watched", lambda: True)
+    modifier = follow_prop(scene)
+    assert not probes_of(scene.splats)
+    while handlers._go_on() is not None:
+        pass
+    assert_right(scene.splats)
+    modifier.show_viewport = modifier.show_render = False
+    bpy.context.view_layer.update()
+    while handlers._go_on() is not None:
+        pass
+    assert not any(map(is_probe, bpy.data.objects))
+    rigs.assert_same_pose(scene.splats, scene.body)
+
+
 def test_deleted_and_added_splats(scene):
     follow_prop(scene)
     choose(scene.splats)
@@ -382,6 +397,12 @@ def test_deleted_and_added_splats(scene):
     bpy.context.view_layer.update()
     assert len(mesh.vertices) == COUNT - COUNT // 3
     assert_right(scene.splats)
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.ops.mesh.delete(type="VERT")
+    bpy.ops.object.mode_set(mode="OBJECT")
+    bpy.context.view_layer.update()
+    assert len(mesh.vertices) == 0
 
 
 def test_undo_and_redo(scene):
