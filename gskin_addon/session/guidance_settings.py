@@ -46,9 +46,14 @@ def online() -> bool:
     return bpy.app.online_access
 
 
-def _steps() -> Any:
+def _steps(options: type[DiffusionOptions]) -> Any:
+    low, high = options.__dataclass_fields__["steps"].metadata["range"]
     return bpy.props.IntProperty(
-        name="Steps", description="Denoising steps per image; 0: as many as the model wants", default=0, min=0, max=1000
+        name="Steps",
+        description="Denoising steps per image; 0: as many as the model wants",
+        default=0,
+        min=low,
+        max=high,
     )
 
 
@@ -122,7 +127,7 @@ class GSkinFlux2(_Options, bpy.types.PropertyGroup):
     lora: _folder("LoRA", "What gskin train-guidance tune --model flux2 wrote; empty: the model as it is")
     subject: _subject()
     prompt: _prompt(Flux2Options.prompt)
-    steps: _steps()
+    steps: _steps(Flux2Options)
     offload: _offload(Flux2Options)
 
 
@@ -140,7 +145,7 @@ class GSkinFluxRepair(_Options, bpy.types.PropertyGroup):
         max=1.0,
         subtype="FACTOR",
     )
-    steps: _steps()
+    steps: _steps(FluxOptions)
     offload: _offload(FluxOptions)
 
 
@@ -162,7 +167,7 @@ class GSkinLightningDrag(_Options, bpy.types.PropertyGroup):
         ],
         default=LightningDragOptions.scheduler,
     )
-    steps: _steps()
+    steps: _steps(LightningDragOptions)
     offload: _offload(LightningDragOptions)
 
 
