@@ -74,7 +74,7 @@ class GSKIN_OT_test_poses(SlicedClick, bpy.types.Operator):
         return "; ".join([f"{len(found.poses)} poses are in the pose library of '{found.armature.name}'", *notes])
 
     def _catalog(self, name: str) -> tuple[str, str]:
-        """Id of the poses' catalogue and what is to be said about it; either may be empty."""
+        """Id of the poses' catalog and what is to be said about it; either may be empty."""
         if not self.catalog:
             return "", ""
         folder = catalog_folder()

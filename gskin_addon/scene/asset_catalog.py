@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Catalogues of Blender's asset library. Python cannot make them in Blender; they are lines of a text file.
+"""Catalogs of Blender's asset library. Python cannot make them in Blender; they are lines of a text file.
 
 Blender reads `blender_assets.cats.txt` of the asset library in which the .blend lies, else of the .blend's folder:
 lines `id:path:simple name` after a line `VERSION 1`, empty lines, and comments that begin with #.
@@ -28,7 +28,7 @@ VERSION 1
 
 
 def ensure_catalog(folder: Path, path: str) -> str:
-    """The id of the catalogue of this path (`a/b` lies in `a`) in the file of a folder; made where it is not there.
+    """The id of the catalog of this path (`a/b` lies in `a`) in the file of a folder; made where it is not there.
 
     Raises InputError: a file that is not of version 1 or no text. GSkinError: it cannot be written.
     """
@@ -53,7 +53,7 @@ def ensure_catalog(folder: Path, path: str) -> str:
 
 
 def catalog_folder() -> Path | None:
-    """Where the present file's catalogues are; None for one that has not been saved."""
+    """Where the present file's catalogs are; None for one that has not been saved."""
     if not bpy.data.filepath:
         return None
     place = Path(bpy.data.filepath).resolve().parent
@@ -65,7 +65,7 @@ def catalog_folder() -> Path | None:
 
 
 def refresh_asset_lists() -> None:
-    """Let asset browsers and asset shelves that are open read their catalogues again."""
+    """Let asset browsers and asset shelves that are open read their catalogs again."""
     manager = bpy.context.window_manager
     for window in manager.windows if manager is not None else ():
         for area in window.screen.areas:

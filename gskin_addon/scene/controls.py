@@ -86,7 +86,7 @@ def near_control(
     switch = switches(armature, [bone, *sources(armature, bone)])[:_NEAR]
     own = armature.pose.bones[bone].matrix_basis.to_quaternion()
     with without_followers(armature):
-        before = _matrix(armature, bone).to_quaternion()
+        before = _matrix(armature, bone)
         turn(bone)
         asked = own.inverted() @ armature.pose.bones[bone].matrix_basis.to_quaternion()
         restore()
@@ -94,9 +94,11 @@ def near_control(
         def first() -> str | None:
             for name in candidates:
                 turn(name)
-                after = _matrix(armature, bone).to_quaternion()
+                after = _matrix(armature, bone)
                 restore()
-                if _angle(before @ asked, after) <= MISS * max(asked.angle, 1e-6):
+                stays = (after.translation - before.translation).length <= near  # the whole rig's root turns it, too
+                turned = _angle(before.to_quaternion() @ asked, after.to_quaternion())
+                if stays and turned <= MISS * max(asked.angle, 1e-6):
                     return name
             return None
 

@@ -70,7 +70,8 @@ def poses_of(armature: bpy.types.Object) -> list[Part]:
         first, last = action.frame_range
         if action.asset_data is None or last > first:
             continue
-        found += [part for part in parts_of(action) if curves_of(part) and is_own(part, armature)]
+        own = action.get(names.TEST_POSE) is not None and action.get(names.TEST_POSE) == armature.get(names.TEST_POSE)
+        found += [part for part in parts_of(action) if curves_of(part) and (own or is_own(part, armature))]
     return sorted(found, key=lambda part: part.action.name)
 
 

@@ -27,7 +27,7 @@ SIZE = 128
 """Pixels of Blender's previews."""
 MOST = 12_000
 """Splats that one is drawn with."""
-AZIMUTH, ELEVATION, MARGIN = 25.0, 8.0, 0.2
+AZIMUTH, ELEVATION, MARGIN = 25.0, 8.0, 0.08
 """From where: degrees to the character's left and upwards, and what is left free around the rest pose."""
 BEHIND = (0.19, 0.19, 0.19)
 

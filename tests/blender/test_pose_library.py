@@ -161,6 +161,17 @@ def test_again_it_replaces_its_own_and_leaves_others(scene):
     assert len(poses_of(armature)) == 7
 
 
+def test_undo_takes_them_away_again(scene):
+    bpy.ops.ed.undo_push(message="before")
+    assert bpy.ops.gskin.test_poses(previews=False) == {"FINISHED"}
+    assert assets()
+    bpy.ops.ed.undo_push(message="Test Poses")
+    bpy.ops.ed.undo()
+    assert not assets()
+    bpy.ops.ed.redo()
+    assert len(assets()) == 9
+
+
 def test_try_it_plays_the_pose_library(scene):
     obj, armature = scene
     with pytest.raises(RuntimeError, match="no pose assets of 'Rig'"):

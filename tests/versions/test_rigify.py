@@ -66,16 +66,19 @@ def test_test_poses_turn_the_controls_and_take_them_back(human):
     obj, armature = bpy.data.objects["human"], bpy.data.objects["rig"]
     bones = read_skeleton(armature).names
     moved = ("DEF-upper_arm.L", "DEF-shin.R", "DEF-spine.006")
+    carried = (*moved, "DEF-thigh.L.001")  # the last is half of a bone, and turns with the other half
     weights = np.zeros((len(obj.data.vertices), len(bones)), np.float32)
-    weights[np.arange(len(weights)), [bones.index(moved[i % 3]) for i in range(len(weights))]] = 1
+    weights[np.arange(len(weights)), [bones.index(carried[i % 4]) for i in range(len(weights))]] = 1
     write_weights(obj, armature, weights)
     before = [tuple(map(tuple, bone.matrix_basis)) for bone in armature.pose.bones]
     found = run_to_end(iter_test_poses(obj, (0, -1, 0)))
-    assert not found.held
+    assert "DEF-thigh.L.001" in found.held
+    assert not set(moved) & set(found.held)
     assert [tuple(map(tuple, bone.matrix_basis)) for bone in armature.pose.bones] == before
     assert armature.pose.bones["upper_arm_parent.L"]["IK_FK"] == 0
     poses = {pose.name: pose for pose in found.poses}
     assert {"upper_arm_fk.L Up", "upper_arm_fk.L Down", "shin_fk.R Back", "head Left", "Rest"} <= set(poses)
+    assert not any(name.startswith("root") for name in poses), "that turns the whole figure"
     # The arm stretches to its side, the leg hangs down.
     assert ('pose.bones["upper_arm_parent.L"]["IK_FK"]', 0) in poses["upper_arm_fk.L Up"].values
     for name, bone in (("upper_arm_fk.L Up", moved[0]), ("shin_fk.R Back", moved[1]), ("head Left", moved[2])):
