@@ -162,10 +162,20 @@ def _add(mesh: ObjectData, fabric: Fabric) -> None:
     for name, values in ((_EDGE, fabric.edges), (_CORNER, fabric.triangles), (_SIDE, fabric.sides)):
         mesh.attributes[name].data.foreach_set("value", np.ascontiguousarray(values, np.int32).ravel())
     mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
-    # Blender gives new ones as selected, and Edit Mode would select their points with them.
+    select_with_points(mesh)  # Blender gives new ones as selected
+    mesh.update()
+
+
+def select_with_points(mesh: ObjectData) -> None:
+    """Let exactly those edges and faces of a mesh be selected whose points all are: Edit Mode would select the points
+    of others with them. Outside of Edit Mode."""
     selected = np.zeros(len(mesh.vertices), np.bool_)
     mesh.vertices.foreach_get("select", selected)
-    for name, ends in ((".select_edge", fabric.edges), (".select_poly", fabric.triangles)):
-        if name in mesh.attributes:
-            mesh.attributes[name].data.foreach_set("value", selected[ends].all(axis=1))
-    mesh.update()
+    if ".select_edge" in mesh.attributes:
+        whole = selected[_read(mesh, _EDGE, 2)].all(axis=1)
+        mesh.attributes[".select_edge"].data.foreach_set("value", np.ascontiguousarray(whole))
+    if ".select_poly" in mesh.attributes and len(mesh.polygons):
+        starts = np.empty(len(mesh.polygons), np.int32)
+        mesh.polygons.foreach_get("loop_start", starts)
+        corners = selected[_read(mesh, _CORNER, 1)[:, 0]]
+        mesh.attributes[".select_poly"].data.foreach_set("value", np.logical_and.reduceat(corners, starts))

@@ -15,6 +15,7 @@ from ..core.skinning.edits.body_graph import BodyGraph, body_graph
 from ..core.splats.cloud import SH_C0
 from . import names
 from .attributes import ObjectData, read_attribute, read_positions
+from .fabric import select_with_points
 from .seams import read_seams
 from .splat_object import read_cloud
 from .steps import Steps, in_thread, run_to_end
@@ -78,8 +79,10 @@ def active_splat(obj: bpy.types.Object) -> int | None:
 
 
 def mark_selected(obj: bpy.types.Object, mask: Mask) -> None:
-    """Select exactly the splats of `mask` (N,), for paint modes; for Edit Mode see `enter_edit_mode`."""
+    """Select exactly the splats of `mask` (N,), outside of Edit Mode, which then shows these; to go there see
+    `enter_edit_mode`."""
     obj.data.vertices.foreach_set("select", np.ascontiguousarray(mask, np.bool_))
+    select_with_points(obj.data)
     obj.data.update()
 
 

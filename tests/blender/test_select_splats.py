@@ -111,6 +111,16 @@ def test_edges_and_faces_between_go_along(splats):
     assert 10 < sum(face.select for face in work.faces) < len(work.faces) - 10
 
 
+def test_what_is_marked_outside_of_edit_mode_is_what_it_shows(splats):
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_all(action="SELECT")  # with it edges and faces of the fabric
+    bpy.ops.object.mode_set(mode="OBJECT")
+    mask = np.arange(COUNT) % 3 == 0
+    selecting.mark_selected(splats, mask)
+    bpy.ops.object.mode_set(mode="EDIT")
+    np.testing.assert_array_equal(selected(splats), mask)
+
+
 def test_by_color_of_the_selected_or_the_active_splat(splats):
     upper = read_cloud(splats).sh[:, 0, 0] > 0
     with pytest.raises(RuntimeError, match="select one of the colour"):

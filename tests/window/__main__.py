@@ -20,7 +20,17 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
 from blenders import SUITES, Blender, find_blenders
 from installing import check_repository
-from judging import FREED, FREED_MOVED, PAINT_MOVED, PAINTED, Check, judge, judge_weights
+from judging import (
+    CLICK_MOVED,
+    CLICKED,
+    FREED,
+    FREED_MOVED,
+    PAINT_MOVED,
+    PAINTED,
+    Check,
+    judge,
+    judge_weights,
+)
 from offscreen import VERSION, check_viewport
 from splat_pictures import judge_splats
 from version_venv import Missing, make
@@ -42,12 +52,14 @@ def main() -> int:
     parser.add_argument("--background", action="store_true", help="only what needs no window")
     parser.add_argument("--viewport", action="store_true", help=f"only the 3D view of bpy {VERSION}")
     parser.add_argument("--splats", action="store_true", help="only the drawing of splats in windows")
-    parser.add_argument("--strokes", action="store_true", help="only weight tools by mouse")
+    parser.add_argument("--strokes", action="store_true", help="only Blender's weight tools by mouse")
+    parser.add_argument("--hands", action="store_true", help="only our own tools by mouse")
+    parser.add_argument("--chapter", action="append", default=[], help="with --hands: only this of its chapters")
     parser.add_argument("--helmet", action="store_true", help="only the helmet of a real capture, which is separated")
     parser.add_argument("--pictures", action="store_true", help="renew docs/images")
     options = parser.parse_args()
     splats, rig = sample(options.demo.absolute(), rigged=not options.splats)
-    part = options.background or options.splats or options.strokes or options.helmet
+    part = options.background or options.splats or options.strokes or options.hands or options.helmet
     blenders = [] if options.viewport else find_blenders(options.suite)
     verdicts: dict[str, list[Check] | str] = {}
     for blender in blenders:
@@ -85,6 +97,8 @@ def play(blender: Blender, out: Path, splats: Path, rig: Path, options: argparse
         return play_splats(blender, out / "splats", splats, environment)
     if options.strokes:
         return play_strokes(blender, out / "strokes", splats, rig, environment)
+    if options.hands:
+        return play_hands(blender, out / "hands", splats, rig, environment, options.chapter)
     if options.helmet:
         return play_helmet(blender, out / "helmet", environment)
     plain = [blender.program, "-b", "--python-exit-code", "1", "--python", str(ROOT / "tests/window/background.py")]
@@ -112,6 +126,7 @@ def play(blender: Blender, out: Path, splats: Path, rig: Path, options: argparse
         checks.append(("Blender ends well", False, f"exit code {code}"))
     checks += play_splats(blender, out / "splats", splats, environment)
     checks += play_strokes(blender, out / "strokes", splats, rig, environment)
+    checks += play_hands(blender, out / "hands", splats, rig, environment)
     if options.pictures and all(good for _, good, _ in checks):
         images = ROOT / "docs" / "images"
         images.mkdir(parents=True, exist_ok=True)
@@ -139,9 +154,23 @@ def play_splats(blender: Blender, out: Path, splats: Path, environment: dict[str
 
 
 def play_strokes(blender: Blender, out: Path, splats: Path, rig: Path, environment: dict[str, str]) -> list[Check]:
-    """Blender's weight tools and ours on the sample, by mouse; pictures below `out`."""
+    """Blender's weight tools on the sample, by mouse; pictures below `out`."""
     words = ["--splats", str(splats), "--rig", str(rig)]
     return play_weights(blender, out, "strokes.py", words, PAINTED, PAINT_MOVED, environment)
+
+
+def play_hands(
+    blender: Blender,
+    out: Path,
+    splats: Path,
+    rig: Path,
+    environment: dict[str, str],
+    chapters: Sequence[str] = (),
+) -> list[Check]:
+    """Our own tools on the sample, by clicks; pictures below `out`."""
+    words = ["--splats", str(splats), "--rig", str(rig), *(word for name in chapters for word in ("--only", name))]
+    shown = () if chapters else CLICKED
+    return play_weights(blender, out, "hands.py", words, shown, CLICK_MOVED, environment)
 
 
 def play_helmet(blender: Blender, out: Path, environment: dict[str, str]) -> list[Check]:

@@ -18,9 +18,15 @@ MOVED = (("04_done", "05_posed"), ("06_posed_clean", "08_reloaded"))
 """Pairs between which the character has moved."""
 PAINTED = ("k00_posed", "k01_weight_paint", "k02_painted", "k05_back", "k06_edit")
 PAINT_MOVED = (("k00_posed", "k01_weight_paint"), ("k01_weight_paint", "k02_painted"))
+CLICKED = ("w01_fit_human", "w05_imported", "w13_tried", "w20_captured", "w21_bones", "w25_moves_with", "w31_by_bone",
+           "w42_mirrored", "w51_separated", "w61_transferred")  # fmt: skip
+CLICK_MOVED = (("w20_captured", "w21_bones"), ("w20_captured", "w22_confidence"), ("w20_captured", "w23_weights"),
+               ("w20_captured", "w25_moves_with"), ("w10_skinned", "w11_try"), ("w10_skinned", "w13_tried"),
+               ("w60_lost", "w61_transferred"))  # fmt: skip
 FREED = ("h00_before", "h03_lasso", "h05_after")
 FREED_MOVED = (("h00_before", "h05_after"),)
-"""Pictures of strokes.py and helmet.py that must show the figure, and pairs between which something has changed."""
+"""Pictures of strokes.py, hands.py and helmet.py that must show the figure, and pairs between which something has
+changed."""
 FILLED, COLOURS, MOVED_SHARE = 0.1, 10_000, 0.03
 """Least share of a view that is not background and least number of its colours; least share that a pose changes."""
 
@@ -64,7 +70,7 @@ def judge(out: Path) -> list[Check] | None:
 
 
 def judge_weights(out: Path, shown: Sequence[str], differing: Sequence[tuple[str, str]]) -> list[Check] | None:
-    """Print what was checked and measured of strokes.py or helmet.py; None where it did not come to its end.
+    """Print what was checked and measured of strokes.py, hands.py or helmet.py; None where it did not come to its end.
 
     shown: pictures that must show the figure; differing: pairs of them that must not be alike.
     """

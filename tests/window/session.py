@@ -7,13 +7,11 @@ blender --python tests/window/session.py -- --out DIR --splats FILE.ply --rig RI
 from __future__ import annotations
 
 import argparse
-import importlib
 import os
 import subprocess
 import sys
 import time
 from pathlib import Path
-from types import ModuleType
 from typing import Any, NamedTuple
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
@@ -21,9 +19,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import bpy
 import mathutils
 import numpy as np
+from addon import ADDON, all_splats, find_rig, find_splats, part, rest, running
 from stage import Hands, Stage, Story, View, waited
 
-ADDON = "bl_ext.user_default.gskin_addon"
 FROZEN = 0.1
 """Seconds for which Blender may not answer while a job runs, on a machine that has nothing else to do."""
 SHOTS = (0.08, 0.35, 0.6, 0.85)
@@ -35,11 +33,6 @@ POSE = {
     "tail.1": (0, 0, 18), "tail.2": (0, 0, 20), "tail.3": (0, 0, 20),
     "cape.1": (14, 0, 6), "cape.2": (12, 0, 0),
 }  # fmt: skip
-
-
-def part(name: str) -> ModuleType:
-    """A module of the installed extension."""
-    return importlib.import_module(f"{ADDON}.{name}")
 
 
 def story(stage: Stage, options: argparse.Namespace) -> Story:
@@ -354,14 +347,6 @@ def look(view: View) -> None:
     view.space.lens = 60
 
 
-def rest(rig: Any) -> None:
-    """No action, no pose."""
-    rig.animation_data_clear()
-    for bone in rig.pose.bones:
-        bone.matrix_basis.identity()
-    bpy.context.view_layer.update()
-
-
 class Took(NamedTuple):
     """Seconds of a call: by the clock but for those in which others had all processors, and of processor time."""
 
@@ -389,25 +374,8 @@ def timed(method: str, cls: Any) -> list[Took]:
     return seconds
 
 
-def running() -> bool:
-    return part("session.running_job").state.job is not None
-
-
 def ended(job: Any) -> bool:
     return job.client._process.poll() is not None
-
-
-def all_splats() -> list[Any]:
-    is_splats = part("scene.splat_object").is_splat_object
-    return [obj for obj in bpy.context.scene.objects if is_splats(obj)]
-
-
-def find_splats() -> Any:
-    return all_splats()[0]
-
-
-def find_rig() -> Any:
-    return next(obj for obj in bpy.context.scene.objects if obj.type == "ARMATURE")
 
 
 def untouched(obj: Any) -> bool:

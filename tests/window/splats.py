@@ -12,7 +12,6 @@ import shutil
 import sys
 import time
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
@@ -20,16 +19,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import bpy
 import mathutils
 import numpy as np
+from addon import ADDON, part
 from figure import TURNS, armature, distance_weights
 from stage import Hands, Stage, Story, View
 
-ADDON = "bl_ext.user_default.gskin_addon"
 FRONT = (0.55, -1.0, 0.22)
-
-
-def part(name: str) -> ModuleType:
-    """A module of the installed extension."""
-    return importlib.import_module(f"{ADDON}.{name}")
 
 
 class Studio:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+import threading
 import time
 import traceback
 from collections import Counter
@@ -17,6 +18,8 @@ from pace import Pace
 
 BEAT = 0.02
 """Seconds between two beats of the heart: Blender's event loop calls it unless something holds the loop up."""
+PAUSE = 0.5
+"""Seconds that Blender's main thread may be busy at a time, whatever is done."""
 
 Wait = float | Callable[[], Any]
 Story = Generator[Wait, None, None]
@@ -59,6 +62,14 @@ class Stage:
         self.checks.append((what, bool(good), str(seen)))
         print(f"{'ok  ' if good else 'FAIL'} {what}" + (f": {seen}" if str(seen) else ""), flush=True)
 
+    def attempt(self, what: str, story: Story) -> Story:
+        """Play a part of a story; where it raises, that is noted, and the rest goes on."""
+        try:
+            yield from story
+        except Exception as error:
+            traceback.print_exc()
+            self.check(f"{what} runs to its end", False, f"{type(error).__name__}: {error}")
+
     def check_time(self, what: str, seconds: float, bar: float, pace: float) -> None:
         """Note whether something took no longer than `bar` seconds of a quiet machine, at the pace of its time."""
         self.check(what, seconds <= bar * pace, f"{seconds:.3f} s; {bar:g} s at pace {pace:.1f}")
@@ -89,6 +100,17 @@ class Stage:
     def busy(self, chapter: str) -> list[float]:
         """Seconds of processor time that Blender's main thread took between the same beats."""
         return [late.busy - early.busy for early, late in self._pairs(chapter)]
+
+    def note_pauses(self, chapter: str, what: str, *, ours: bool = False) -> None:
+        """Note how long Blender stood still in a chapter at most: by the clock, but for what others took, and busy.
+
+        ours: that it is our own work, which has a bar; modes and strokes are Blender's, and that of drawing without a
+        graphics card.
+        """
+        self.numbers[f"{what}: longest pause s"] = max(self.own_gaps(chapter), default=0.0)
+        busy = self.numbers[f"{what}: longest busy s"] = max(self.busy(chapter), default=0.0)
+        if ours:
+            self.check_time(f"{what}: no long pause", busy, PAUSE, self.pace.busy(*self.chapter_times(chapter)))
 
     def _pairs(self, chapter: str) -> list[tuple[Beat, Beat]]:
         return [pair for pair in zip(self.beats, self.beats[1:], strict=False) if pair[1].chapter == chapter]
@@ -142,7 +164,8 @@ class Hands:
 
     def __init__(self, out: Path, view: View, views: dict[str, tuple[int, int, int, int]]) -> None:
         self.out, self.view, self.views = out, view, views
-        self.pressed = 0.0
+        self.pressed = self.released = 0.0
+        """When the last stroke began, and when the last doing of the hands ended."""
 
     def keys(self, *names: str) -> Story:
         """Press keys by their X names, one after the other."""
@@ -159,6 +182,11 @@ class Hands:
     def click(self, x: int, y: int) -> Story:
         """Move there and press the left button."""
         yield from self._run("xdotool", "mousemove", str(x), str(y), "sleep", "0.15", "click", "1")
+
+    def double_click(self, x: int, y: int) -> Story:
+        """Move there and press the left button twice."""
+        words = ["mousemove", str(x), str(y), "sleep", "0.3", "click", "--repeat", "2", "--delay", "120", "1"]
+        yield from self._run("xdotool", *words)
 
     def drag(self, start: tuple[int, int], end: tuple[int, int]) -> Story:
         """Press at `start`, let go at `end`."""
@@ -181,17 +209,27 @@ class Hands:
         yield from self._run("xdotool", "click", "--repeat", str(notches), "--delay", "60", "5")
 
     def shoot(self, name: str) -> Story:
-        """A picture of the whole screen."""
-        path = str(self.out / f"{name}.png")
+        """A picture of the whole screen, and where in it the 3D view is."""
         self.views[name] = self.view.open_part()
+        yield from self.shoot_screen(name)
+
+    def shoot_screen(self, name: str) -> Story:
+        """A picture of the whole screen, for people alone."""
+        path = str(self.out / f"{name}.png")
         yield from self._run("nice", "import", "-window", "root", "-define", "png:compression-level=9", path)
 
     def _run(self, *command: str) -> Story:
         process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
+        # By a thread of its own: Blender may be busy with what the hands do.
+        threading.Thread(target=self._note_end, args=(process,), daemon=True).start()
         yield lambda: process.poll() is not None
         if process.returncode != 0:
             raise RuntimeError(f"{' '.join(command)} ended with {process.returncode}")
         yield 0.1
+
+    def _note_end(self, process: subprocess.Popen[bytes]) -> None:
+        process.wait()
+        self.released = time.monotonic()
 
 
 class View:
@@ -243,24 +281,3 @@ class View:
             if operator in manager.clipboard:
                 return x, y
         return None
-
-    def find_buttons(self, hands: Hands, prefix: str) -> Generator[Wait, None, dict[str, tuple[int, int]]]:
-        """Where in the side bar, scrolled to its end, the buttons of the operators are whose names begin so, two to a
-        row at most."""
-        manager, region = bpy.context.window_manager, self.region("UI")
-        yield from hands.move(region.x + region.width // 2, self.middle()[1])
-        yield from hands.wheel(25)
-        yield 0.5
-        found: dict[str, tuple[int, int]] = {}
-        for y in range(self.window.height - region.y - region.height + 40, self.window.height - region.y, 11):
-            for share in (0.3, 0.7):
-                x = region.x + round(share * region.width)
-                yield from hands.move(x, y)
-                manager.clipboard = ""
-                with self.override("UI"):
-                    if bpy.ops.ui.copy_python_command_button.poll():
-                        bpy.ops.ui.copy_python_command_button()
-                name = manager.clipboard.removeprefix("bpy.ops.").partition("(")[0]
-                if name.startswith(prefix):
-                    found.setdefault(name, (x, y))
-        return found

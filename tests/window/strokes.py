@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender's own weight tools on splats, by mouse and keyboard: brushes, gradient, masks, undo; then ours.
+"""Blender's own weight tools on splats, by mouse and keyboard: brushes, gradient, masks, undo.
 
 blender --python tests/window/strokes.py -- --out DIR --splats FILE.ply --rig RIG
 
-Mouse: strokes, gradient, box selection, our buttons in the side bar. Keys: Sample, Set Weight, Linked, undo, redo, Edit
+Mouse: strokes, gradient, box selection. Keys: Sample, Set Weight, Linked, undo, redo, Edit
 Mode. Called as a script calls them: which brush or tool is active (an asset shelf has no keys), Weight Paint, Smooth
 and Levels of the menu Weights, and Select More and Less, whose keys are on a number pad that is not to be pressed here.
 """
@@ -21,15 +21,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import bpy
 import mathutils
 import numpy as np
+from addon import find_rig, find_splats, part, turned_as_computed, unsettled
+from arriving import arrive, auto_skin, bring_in, remember
 from bpy_extras.view3d_utils import location_3d_to_region_2d
-from session import find_rig, find_splats, part, rest, running
-from stage import Hands, Stage, Story, View, Wait
+from stage import Hands, Stage, Story, View
 
 TRIES = 3
 """Drags of the gradient, until one changes weights: on a loaded machine single ones did not arrive."""
-
-PAUSE = 0.5
-"""Seconds that Blender's main thread may be busy at a time, whatever is done."""
 BRUSHES = {"Paint": "builtin.brush", "Blur": "builtin_brush.blur", "Average": "builtin_brush.average",
            "Smear": "builtin_brush.smear"}  # fmt: skip
 
@@ -150,15 +148,7 @@ def story(stage: Stage, options: argparse.Namespace) -> Story:
     """All chapters."""
     view = View()
     hands = Hands(options.out, view, stage.views)
-    stage.chapter = "arrive"
-    yield 1.0
-    for obj in list(bpy.data.objects):
-        bpy.data.objects.remove(obj)
-    open_panel()
-    view.space.show_region_ui, view.space.show_region_hud = True, False
-    yield 0.8
-    view.region("UI").active_panel_category = "GSkin"
-    yield from hands.drag((view.region("UI").x, view.middle()[1]), (view.region("UI").x - 60, view.middle()[1]))
+    yield from arrive(stage, hands, view)
     yield from skin(stage, hands, view, options)
     painting = Painting(stage, hands, view, options.bone, options.locked)
     yield from enter(stage, painting)
@@ -167,54 +157,29 @@ def story(stage: Stage, options: argparse.Namespace) -> Story:
     yield from masks(stage, painting)
     yield from leave(stage, painting)
     yield from edit_mode(stage, painting)
-    yield from our_buttons(stage, painting)
     stage.chapter = "end"
-
-
-def open_panel() -> None:
-    """The panel of the weights is shut at first; here it is open as if somebody had clicked on its head before."""
-    panel = bpy.types.GSKIN_PT_weights
-    bpy.utils.unregister_class(panel)
-    panel.bl_options = set()
-    bpy.utils.register_class(panel)
 
 
 def skin(stage: Stage, hands: Hands, view: View, options: argparse.Namespace) -> Story:
     """Splats and rig come in, the default job runs, the figure is posed and seen from the front."""
     stage.chapter = "skin"
-    with view.override():
-        bpy.ops.gskin.import_splats("EXEC_DEFAULT", True, filepath=str(options.splats), up=options.up)
-    rig = part("scene.rig_files").import_armature(options.rig)
-    rest(rig)
+    splats, rig = bring_in(view, options.splats, options.rig, options.up)
     rig.show_in_front, rig.data.display_type = True, "STICK"
-    chosen = bpy.context.scene.gskin
-    chosen.splats, chosen.armature, chosen.guidance = find_splats(), rig, "none"
-    for obj in bpy.context.view_layer.objects:
-        obj.select_set(obj in (find_splats(), rig))
-    view.window.view_layer.objects.active = find_splats()
     camera = view.space.region_3d
     camera.view_perspective = "ORTHO"
     camera.view_rotation = mathutils.Vector(options.front).to_track_quat("Z", "Y")
     with view.override():
         bpy.ops.view3d.view_selected()
-        bpy.ops.ed.undo_push(message="Bring in splats and armature")
+    remember(view, "Bring in splats and armature")
     yield stage.pause(1.0)
-    stage.chapter = "job"
-    with view.override():
-        bpy.ops.gskin.auto_skin("INVOKE_DEFAULT")
-    yield running
-    yield lambda: not running()
-    stage.chapter = "skinned"
-    yield stage.pause(1.0)
-    splats = find_splats()
+    yield from auto_skin(stage, view)
     stage.numbers["splats"] = len(splats.data.vertices)
     stage.check("Auto-Skin lays a fabric", part("scene.fabric").has_fabric(splats), f"{len(splats.data.polygons):,}")
     part("scene.posing").turn_bones(rig, {options.bone: (0, 12, 8)})
     rig.select_set(False)
     splats.vertex_groups[options.locked].lock_weight = True
     bpy.context.tool_settings.use_auto_normalize = True
-    with view.override():
-        bpy.ops.ed.undo_push(message="Pose")
+    remember(view, "Pose")
     yield from hands.shoot("k00_posed")
 
 
@@ -224,18 +189,10 @@ def enter(stage: Stage, painting: Painting) -> Story:
     painting.choose(painting.bone)
     took = yield from switch(stage, painting, "WEIGHT_PAINT")
     stage.numbers["enter Weight Paint s"] = took
-    pauses(stage, "enter", "enter Weight Paint")
+    stage.note_pauses("enter", "enter Weight Paint")
     display = part("scene.node_groups").find_display(painting.splats)
     stage.check("in Weight Paint the display makes way for the fabric", not display.show_viewport)
     yield from painting.hands.shoot("k01_weight_paint")
-
-
-def pauses(stage: Stage, chapter: str, what: str, *, ours: bool = False) -> None:
-    """Note how long Blender stood still in a chapter at most: by the clock, but for what others took, and busy."""
-    stage.numbers[f"{what}: longest pause s"] = max(stage.own_gaps(chapter), default=0.0)
-    busy = stage.numbers[f"{what}: longest busy s"] = max(stage.busy(chapter), default=0.0)
-    if ours:  # modes and strokes are Blender's own work, and that of drawing without a graphics card
-        stage.check_time(f"{what}: no long pause", busy, PAUSE, stage.pace.busy(*stage.chapter_times(chapter)))
 
 
 def switch(stage: Stage, painting: Painting, mode: str) -> Any:
@@ -269,7 +226,7 @@ def brushes(stage: Stage, painting: Painting) -> Story:
         if name == "Paint":
             yield from painting.hands.shoot("k02_painted")
             yield from painting.there_and_back(name, before)
-    pauses(stage, "brushes", "strokes")
+    stage.note_pauses("brushes", "strokes")
 
 
 def gradient_and_set(stage: Stage, painting: Painting) -> Story:
@@ -347,11 +304,11 @@ def leave(stage: Stage, painting: Painting) -> Story:
     """Back in Object Mode splats are drawn again, turned as the new weights say."""
     stage.chapter = "leave"
     stage.numbers["leave Weight Paint s"] = yield from switch(stage, painting, "OBJECT")
-    yield settled(stage, painting)
+    yield stage.soon(lambda: not unsettled(painting.splats), 10.0)
     stage.check("rotations follow what was painted", turned_as_computed(painting.splats))
     display = part("scene.node_groups").find_display(painting.splats)
     stage.check("the display is back", display.show_viewport)
-    pauses(stage, "leave", "leave Weight Paint")
+    stage.note_pauses("leave", "leave Weight Paint")
     yield from painting.hands.shoot("k05_back")
 
 
@@ -361,7 +318,7 @@ def edit_mode(stage: Stage, painting: Painting) -> Story:
     yield from painting.keys("Tab")
     yield stage.soon(lambda: painting.splats.mode == "EDIT", 8.0)
     yield stage.pause(0.5)
-    pauses(stage, "edit", "enter Edit Mode")
+    stage.note_pauses("edit", "enter Edit Mode")
     stage.chapter = "edited"
     stage.check("Tab enters Edit Mode", painting.splats.mode == "EDIT")
     with painting.view.override():
@@ -376,102 +333,6 @@ def edit_mode(stage: Stage, painting: Painting) -> Story:
         bpy.ops.mesh.select_more()
     stage.check("Select More in Edit Mode", painting.selected() > boxed, f"{painting.selected():,}")
     yield from painting.hands.shoot("k06_edit")
-
-
-def our_buttons(stage: Stage, painting: Painting) -> Story:
-    """To Bone and Smooth on the selection in Edit Mode, then Mirror on all, by clicks in the side bar."""
-    stage.chapter = "buttons"
-    found = yield from painting.view.find_buttons(painting.hands, "gskin.")
-    wanted = {"To Bone": "gskin.assign_to_bone", "Smooth": "gskin.smooth_weights", "Mirror": "gskin.mirror_weights"}
-    yield from painting.hands.shoot("k07_buttons")
-    column = painting.names.index(painting.bone)
-    for name, operator in wanted.items():
-        stage.check(f"the button {name} is found", operator in found, found.get(operator))
-        if operator not in found:
-            continue
-        if name == "Mirror":
-            yield from painting.keys("Tab")
-            yield stage.soon(lambda: painting.splats.mode == "OBJECT", 8.0)
-        before, mode = read_outside(painting), painting.splats.mode
-        selected = part("scene.weight_edits").selected_splats(painting.splats)
-        stage.chapter = f"button {name}"
-        began = time.monotonic()
-        yield from painting.hands.click(*found[operator])
-        yield stage.soon(working, 5.0)
-        yield lambda: not working()
-        stage.numbers[f"{name} s"] = time.monotonic() - began
-        # Leaving and entering Edit Mode takes Blender itself about as long.
-        pauses(stage, f"button {name}", name, ours=mode == "OBJECT")
-        stage.chapter = "buttons"
-        # Where the machine is busy the click may come later than was waited for.
-        yield stage.soon(lambda before=before: not working() and (read_outside(painting) != before).any(), 30.0)
-        after = read_outside(painting)
-        changed = (after != before).any(axis=1)
-        stage.check(f"{name} changes splats", changed.any(), f"{changed.sum():,} in {painting.splats.mode}")
-        stage.check(f"{name}: the mode stays", painting.splats.mode == mode)
-        stage.check(f"{name}: sums stay 1", np.abs(after[changed].sum(axis=1) - 1).max(initial=0) < 1e-3)
-        locked = painting.names.index(painting.locked)
-        stage.check(f"{name}: the locked group stays", np.array_equal(after[:, locked], before[:, locked]))
-        if name != "Mirror":
-            stage.check(f"{name} keeps to the selection", not changed[~selected].any())
-        if name == "To Bone":
-            free = after[selected, column] + after[selected, locked]
-            stage.check("To Bone gives all that is not locked to the bone", np.abs(free - 1).max() < 1e-3)
-        yield settled(stage, painting)
-    stage.chapter = "buttons"
-    if painting.splats.mode == "EDIT":
-        yield from painting.keys("Tab")
-        yield settled(stage, painting)
-    stage.check("rotations follow our tools", turned_as_computed(painting.splats))
-    yield from painting.hands.shoot("k08_end")
-
-
-def working() -> bool:
-    """Whether an operator of ours says in the status bar that it works."""
-    window = bpy.context.window_manager.windows[0]
-    return any(operator.bl_idname.startswith("GSKIN_OT") for operator in window.modal_operators)
-
-
-def read_outside(painting: Painting) -> np.ndarray:
-    """The weights, also while Edit Mode is open."""
-    splats = painting.splats
-    if splats.mode != "EDIT":
-        return painting.weights()
-    splats.update_from_editmode()
-    pairs = part("scene.vertex_groups").read_pairs(splats, slice(0, len(splats.data.vertices)))
-    out = np.zeros((len(splats.data.vertices), len(painting.names)), np.float32)
-    place = {name: number for number, name in enumerate(painting.names)}
-    column = np.array([place.get(group.name, -1) for group in splats.vertex_groups])
-    ours = column[pairs[1]] >= 0
-    out[pairs[0][ours], column[pairs[1][ours]]] = pairs[2][ours]
-    return out
-
-
-def settled(stage: Stage, painting: Painting) -> Wait:
-    """Wait until the new weights turn the splats. Computing turns meanwhile would keep the slices waiting."""
-    return stage.soon(lambda: not part("scene.handlers").is_unsettled(painting.splats), 10.0)
-
-
-def turned_as_computed(splats: Any) -> bool:
-    """Whether the nodes turn the splats as the rig's formulas do with the weights that the splats have now."""
-    if splats.mode != "OBJECT":
-        return True
-    wanted = part("scene.posing").posed_cloud(splats)
-    display = part("scene.node_groups").find_display(splats)
-    shown = display.show_viewport
-    display.show_viewport = False
-    mesh = splats.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
-    quats = part("scene.attributes").read_attribute(mesh, "rotation")
-    turn = np.array(splats.matrix_world.to_quaternion())
-    display.show_viewport = shown
-    if quats is None or len(quats) != wanted.count:
-        return False
-    w, x, y, z = turn
-    a, b, c, d = quats.T
-    world = np.stack([w * a - x * b - y * c - z * d, w * b + x * a + y * d - z * c,
-                      w * c - x * d + y * a + z * b, w * d + x * c - y * b + z * a], axis=1)  # fmt: skip
-    world /= np.linalg.norm(world, axis=1, keepdims=True)
-    return bool(np.abs(np.einsum("nk,nk->n", world, wanted.quats)).min() > 1 - 1e-4)
 
 
 def main() -> None:

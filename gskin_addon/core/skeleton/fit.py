@@ -22,7 +22,7 @@ from . import ends, layouts
 from .bird import bird_front, bird_joints
 from .body_shape import body_shape
 from .joints import HUMAN, MIDDLE, QUADRUPED
-from .landmarks import move_to_landmarks
+from .landmarks import move_to_landmarks, on_their_sides
 from .stance import QUARTER, Standing, feet_ahead, quarter_turns, slant, stand
 from .votes import VoteNetwork, features, mirrored
 
@@ -42,6 +42,9 @@ FEET = 0.03
 
 CLEAR = 5.0
 """It is clear to where a body looks where the best of four turns is ahead of the next by so much, in logits."""
+
+ASIDE = 0.02
+"""Landmarks of a side say to where a body looks where they lie so far from its middle, a share of the diagonal."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +103,8 @@ def fit(
     """Fit a skeleton of a kind of `KINDS` to splats that stand with z up.
 
     front: a key of `LOOKS`, or "auto". alike: make both sides mirror images; None: where they nearly are.
-    landmarks: points (3,) among the splats by the names of `landmarks.NAMES`, to which the fit is brought.
+    landmarks: points (3,) among the splats by the names of `landmarks.NAMES`, to which the fit is brought; those of a
+    side also say to where the body looks, unless `front` does.
 
     Raises:
         InputError: too few splats, or an unknown landmark.
@@ -125,7 +129,7 @@ def fit_with(
     """`fit` by another network than the one that comes with the add-on."""
     _check_front(front)
     spec = KINDS[kind]
-    standing, turn, clear = _turned(cloud, spec, network, front, tick)
+    standing, turn, clear = _turned(cloud, spec, network, front, landmarks or {}, tick)
     values = features(standing.shape, standing.scale)
     left, right = network(values), network(mirrored(values))
     tick(0.8)
@@ -154,10 +158,14 @@ def _fit_bird(
         base = _about_z(slant(shape.points))
         if not np.array_equal(base, np.eye(3)):
             shape = body_shape(_turned_places(cloud, base))
-    turns = quarter_turns(shape)
-    quarters = LOOKS[front] if front != "auto" else bird_front([turned.points for turned in turns])
-    standing = stand(turns[quarters], KINDS["bird"].unit)
-    turn = (np.linalg.matrix_power(QUARTER, quarters) @ base).T
+    standings = [stand(turned, KINDS["bird"].unit) for turned in quarter_turns(shape)]
+    if front != "auto":
+        quarters = LOOKS[front]
+    else:
+        quarters = bird_front([turned.shape.points for turned in standings])
+        allowed = _allowed(standings, base, landmarks or {})
+        quarters = next(turned % 4 for turned in (quarters, quarters + 2, *allowed) if turned % 4 in allowed)
+    standing, turn = standings[quarters], _turn_back(quarters, base)
     found = bird_joints(standing.shape.points)
     found, shift, same = _finished(found, standing, turn, alike, landmarks or {})
     skeleton, deform = layouts.build(layouts.BIRD, found)
@@ -217,7 +225,7 @@ def _finished(
 
 
 def _turned(
-    cloud: SplatCloud, spec: Kind, network: VoteNetwork, front: str, tick: Tick
+    cloud: SplatCloud, spec: Kind, network: VoteNetwork, front: str, landmarks: Mapping[str, Array], tick: Tick
 ) -> tuple[Standing, Array, bool]:
     """The body looking along -y, the rotation (3, 3) from there to how the splats lie, and whether that is clear."""
     shape = body_shape(cloud)
@@ -225,20 +233,39 @@ def _turned(
     if front != "auto":
         quarters = LOOKS[front]
         turned = quarter_turns(shape)[quarters]
-        return stand(turned, spec.unit), np.linalg.matrix_power(QUARTER, quarters).T, True
+        return stand(turned, spec.unit), _turn_back(quarters, np.eye(3)), True
     angle = slant(shape.points)
     base = _about_z(angle)
     if angle:
         shape = body_shape(_turned_places(cloud, base))
     tick(0.7)
     standings = [stand(turned, spec.unit) for turned in quarter_turns(shape)]
-    looks = [_fits(network, standing) for standing in standings]
+    allowed = _allowed(standings, base, landmarks)
+    looks = [_fits(network, turned) if number in allowed else -np.inf for number, turned in enumerate(standings)]
     best = int(np.argmax(looks))
     clear = looks[best] - sorted(looks)[-2] > CLEAR
     opposite = (best + 2) % 4
     if not clear and looks[opposite] == sorted(looks)[-2] and spec.unit == "height":
         best = opposite if feet_ahead(standings[best]) < -FEET else best
-    return standings[best], (np.linalg.matrix_power(QUARTER, best) @ base).T, bool(clear)
+    return standings[best], _turn_back(best, base), bool(clear)
+
+
+def _allowed(standings: list[Standing], base: Array, landmarks: Mapping[str, Array]) -> list[int]:
+    """Which of four turns landmarks of a side allow: what somebody has marked as a left hand lies on the left. All
+    where nothing is marked that tells."""
+    met = []
+    for number, standing in enumerate(standings):
+        back = _turn_back(number, base)
+        places = {name: back.T @ np.asarray(at, np.float64) - standing.origin for name, at in landmarks.items()}
+        met.append(on_their_sides(places))
+    if max(met) < ASIDE * standings[0].diagonal:
+        return list(range(len(standings)))
+    return [number for number, far in enumerate(met) if far >= max(met) / 2]
+
+
+def _turn_back(quarters: int, base: Array) -> Array:
+    """The rotation (3, 3) from a body that was turned by `base`, then by quarters about z, to how it lay."""
+    return np.asarray((np.linalg.matrix_power(QUARTER, quarters) @ base).T)
 
 
 def _check_front(front: str) -> None:

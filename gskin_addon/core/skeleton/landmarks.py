@@ -55,6 +55,13 @@ def move_to_landmarks(
     return out
 
 
+def on_their_sides(landmarks: Mapping[str, Array]) -> float:
+    """How far landmarks (3,) of a body that looks along -y lie on the sides that their names say, metres, summed; less
+    than 0 where the body looks the other way. The left side is +x; those of no side say nothing."""
+    signs = {".L": 1.0, ".R": -1.0}
+    return float(sum(signs.get(name[-2:], 0.0) * place[0] for name, place in landmarks.items()))
+
+
 def possible(joints: Mapping[str, Array]) -> list[str]:
     """The landmarks that a body with these joints has."""
     return [name for name in NAMES if _chain(name, joints)]

@@ -173,3 +173,14 @@ def test_feet_reach_to_the_front(person):
     ahead = [feet_ahead(stand(turn, "height")) for turn in quarter_turns(body_shape(person))]
     assert ahead[0] > 0.03
     assert ahead[2] == pytest.approx(-ahead[0], abs=0.01)
+
+
+@pytest.mark.parametrize("kind", ["human", "bird"])
+def test_a_landmark_of_a_side_says_to_where_the_body_looks(person, kind):
+    marks = persons.joints()
+    for side, other in (("L", "L"), ("L", "R"), ("R", "L")):  # where it is, and with the sides taken for one another
+        name = {"human": f"hand.{side}", "bird": f"wing.{side}"}[kind]
+        found = fit(kind, person, landmarks={name: marks[f"wrist.{other}"]})
+        left = found.placement[0, 0]
+        assert left * (1 if side == other else -1) > 0.9, (side, other)
+        assert found.front_sure
