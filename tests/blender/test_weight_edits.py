@@ -16,10 +16,11 @@ from gskin_addon.core.skinning.edits.blend import sharpen, smooth
 from gskin_addon.core.skinning.edits.body_graph import body_graph
 from gskin_addon.core.skinning.edits.keep import keep
 from gskin_addon.scene import names as attributes
+from gskin_addon.scene.compared import is_edited
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud
 from gskin_addon.scene.stand_in import readable
 from gskin_addon.scene.weight_edits import iter_edit_weights
-from gskin_addon.scene.weights import is_edited, read_weights, write_weights
+from gskin_addon.scene.weights import read_weights, write_weights
 
 COUNT, BONES = 400, 6
 
