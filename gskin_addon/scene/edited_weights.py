@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from ..core.errors import InputError
 from .attributes import ObjectData
+from .compared import mark_edited
 from .object_ref import object_by_uid
 from .steps import Steps, slices
-from .weights import mark_edited
 
 Array = NDArray[Any]
 

@@ -25,6 +25,7 @@ from .anchor_nodes import find_anchor
 from .bone_frames import armature_of
 from .leftovers import clean, clean_later, fits
 from .object_ref import object_by_uid
+from .probes import is_probed_rightly
 from .rotation_nodes import find_rotation, frames_of
 from .splat_object import is_splat_object
 from .stand_in import is_stand_in
@@ -229,6 +230,8 @@ def _look_at(obj: bpy.types.Object, *, touched: bool) -> None:
         _ask_again(uid)
     elif uid not in _running and follows_foreign_frames(obj):
         _guarded(_repair, obj)
+    elif uid not in _running and not is_probed_rightly(obj):
+        _ask_again(uid)
 
 
 def _moves(obj: bpy.types.Object, groups: tuple[str, ...]) -> list[str]:

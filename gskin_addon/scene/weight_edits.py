@@ -18,14 +18,16 @@ from . import names
 from .armature import deform_bone_names
 from .binding import bind, check_splats
 from .bone_frames import armature_of, bone_order
+from .compared import mark_edited
 from .edited_weights import EditedRef, iter_write_edited
 from .influences import strongest, write_influences
 from .object_ref import ObjectRef
+from .probes import follow_stack
 from .rotation_nodes import frames_of
 from .stand_in import readable
 from .steps import Steps, in_thread, part_of
 from .vertex_groups import GroupsAside, group_state, restore_group_state
-from .weights import iter_read_weights, mark_edited
+from .weights import iter_read_weights
 
 Array = NDArray[Any]
 
@@ -103,6 +105,7 @@ def iter_edit_weights(
         obj = groups.commit()
     restore_group_state(obj, state)
     write_influences(obj, bone_order(frames), bones, index, value)
+    follow_stack(obj)
     mark_edited(obj, True)
     return count
 
@@ -117,14 +120,31 @@ def _is_locked(obj: bpy.types.Object, group: str) -> bool:
 
 
 def selected_splats(obj: bpy.types.Object) -> Array:
-    """(N,) bool: the splats that are selected, as Edit Mode shows them, also while it is open."""
+    """(N,) bool: the splats that are selected, as Edit Mode shows them, also while it is open; in Weight Paint with
+    face selection those of the selected faces."""
     if obj.mode == "EDIT":
         obj.update_from_editmode()
     selected = np.zeros(len(obj.data.vertices), np.bool_)
+    if obj.mode == "WEIGHT_PAINT" and obj.data.use_paint_mask:
+        selected[_corners_of_selected_faces(obj)] = True
+        return selected
     obj.data.vertices.foreach_get("select", selected)
     return selected
 
 
 def shows_selection(obj: bpy.types.Object) -> bool:
-    """Whether an artist sees which splats are selected: in Edit Mode, or in Weight Paint with vertex selection."""
-    return obj.mode == "EDIT" or (obj.mode == "WEIGHT_PAINT" and obj.data.use_paint_mask_vertex)
+    """Whether an artist sees what is selected: in Edit Mode, or in Weight Paint with vertex or face selection."""
+    masked = obj.data.use_paint_mask_vertex or obj.data.use_paint_mask
+    return obj.mode == "EDIT" or (obj.mode == "WEIGHT_PAINT" and masked)
+
+
+def _corners_of_selected_faces(obj: bpy.types.Object) -> Array:
+    """(M,) numbers of the points of the faces that are selected and not hidden."""
+    faces, loops = obj.data.polygons, obj.data.loops
+    chosen, hidden = np.zeros(len(faces), np.bool_), np.zeros(len(faces), np.bool_)
+    faces.foreach_get("select", chosen)
+    faces.foreach_get("hide", hidden)
+    total, corner = np.zeros(len(faces), np.int32), np.zeros(len(loops), np.int32)
+    faces.foreach_get("loop_total", total)
+    loops.foreach_get("vertex_index", corner)
+    return corner[np.repeat(chosen & ~hidden, total)]

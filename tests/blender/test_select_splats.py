@@ -336,3 +336,35 @@ def test_escape_leaves_mode_and_selection(splats, window):
     assert splats.mode == "EDIT"
     assert (len(bpy.data.objects), len(bpy.data.meshes)) == (objects, meshes)
     np.testing.assert_array_equal(selected(splats), np.arange(COUNT) == 7)
+
+
+@pytest.mark.parametrize("how", ["hidden", "excluded"])
+def test_what_cannot_be_seen_is_not_selected_in(splats, how):
+    """Blender has no Edit Mode for it; a sentence says so instead of a fault."""
+    scene, shelf = bpy.context.scene, bpy.data.collections.new("Shelf")
+    homes = list(splats.users_collection)
+    scene.collection.children.link(shelf)
+    scene.gskin.splats = splats
+    write_seams(splats, np.arange(COUNT) % 3)
+    if how == "hidden":
+        splats.hide_set(True)
+    else:
+        shelf.objects.link(splats)
+        for home in homes:
+            home.objects.unlink(splats)
+        bpy.context.view_layer.layer_collection.children["Shelf"].exclude = True
+    try:
+        for click in ("select_by_bone", "select_unsure_splats", "next_unsure_cluster", "select_seams"):
+            options = {"bone": read_weights(splats)[1][0]} if click == "select_by_bone" else {}
+            with pytest.raises(RuntimeError, match=r"Error: 'S' is (hidden|in a collection that is excluded)"):
+                getattr(bpy.ops.gskin, click)(**options)
+    finally:
+        write_seams(splats, None)
+        scene.gskin.splats = None
+        if how == "excluded":
+            for home in homes:
+                home.objects.link(splats)
+        bpy.data.collections.remove(shelf)
+        splats.hide_set(False)
+        bpy.context.view_layer.objects.active = splats
+        splats.select_set(True)

@@ -16,10 +16,11 @@ from gskin_addon.core.skinning.edits.blend import sharpen, smooth
 from gskin_addon.core.skinning.edits.body_graph import body_graph
 from gskin_addon.core.skinning.edits.keep import keep
 from gskin_addon.scene import names as attributes
+from gskin_addon.scene.compared import is_edited
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud
 from gskin_addon.scene.stand_in import readable
 from gskin_addon.scene.weight_edits import iter_edit_weights
-from gskin_addon.scene.weights import is_edited, read_weights, write_weights
+from gskin_addon.scene.weights import read_weights, write_weights
 
 COUNT, BONES = 400, 6
 
@@ -217,6 +218,25 @@ def test_splats_without_weights_stay_so_or_take_what_is_given(scene):
     mean = before[graph.neighbour[row][graph.linked[row]]].sum(axis=0)
     expected = keep(before, np.tile(mean, (COUNT, 1)), most=4)[row]
     np.testing.assert_allclose(read_weights(obj)[0][row], expected, atol=1e-5)
+
+
+def test_face_selection_of_weight_paint_is_a_selection(scene):
+    obj, _armature, before = scene
+    assert bpy.ops.gskin.make_paintable() == {"FINISHED"}
+    faces = np.zeros(len(obj.data.polygons), bool)
+    faces[:20], hidden = True, np.zeros(len(faces), bool)
+    hidden[10:15] = True
+    obj.data.polygons.foreach_set("select", faces)
+    obj.data.polygons.foreach_set("hide", hidden)
+    meant = {int(i) for face in np.flatnonzero(faces & ~hidden) for i in obj.data.polygons[face].vertices}
+    bpy.ops.object.mode_set(mode="WEIGHT_PAINT")
+    obj.data.use_paint_mask = True
+    select(obj, np.ones(COUNT, bool))
+    assert bpy.ops.gskin.sharpen_weights(amount=0.9) == {"FINISHED"}
+    bpy.ops.object.mode_set(mode="OBJECT")
+    changed = set(np.flatnonzero((read_weights(obj)[0] != before).any(axis=1)).tolist())
+    assert changed
+    assert changed <= meant
 
 
 def test_mirror_needs_sides(scene):
