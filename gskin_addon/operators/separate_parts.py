@@ -34,6 +34,7 @@ class GSKIN_OT_separate_parts(WeightEdit, bpy.types.Operator):
     bl_label = "Separate Selection"
 
     needs_selection = True
+    leaves_edit_mode = True
 
     bone: bpy.props.StringProperty(
         name="Belongs to",
@@ -77,9 +78,11 @@ class GSKIN_OT_separate_parts(WeightEdit, bpy.types.Operator):
         """Known when it is done."""
         return self._reached
 
-    def steps(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Any) -> Steps[int]:
+    def steps(
+        self, context: bpy.types.Context, splats: bpy.types.Object, there: bpy.types.Object, selected: Any
+    ) -> Steps[int]:
         uid = splats.session_uid
-        count = yield from super().steps(context, splats, selected)
+        count = yield from super().steps(context, splats, there, selected)
         changed = object_by_uid(uid)
         if changed is not None:  # as it is: the last slice has just found it
             write_seams(changed, self._labels)

@@ -51,14 +51,14 @@ def begin_selecting(context: bpy.types.Context, obj: bpy.types.Object) -> None:
 
 
 @contextmanager
-def out_of_edit_mode(context: bpy.types.Context, obj: bpy.types.Object) -> Iterator[None]:
-    """`begin_selecting`, and the mode of before again where the block is given up. Raises InputError as that does, and
-    for a hidden object, whose splats nobody could see selected."""
+def out_of_edit_mode(context: bpy.types.Context, obj: bpy.types.Object) -> Iterator[bpy.types.Object]:
+    """`begin_selecting`, and the mode of before again where the block is given up. Gives the object. Raises InputError
+    as that does, and for a hidden object, whose splats nobody could see selected."""
     _refuse_hidden(context, obj)
     mode = obj.mode
     begin_selecting(context, obj)
     try:
-        yield
+        yield obj
     except BaseException:  # also a generator that is closed
         if obj.mode != mode:
             bpy.ops.object.mode_set(mode=mode)

@@ -32,6 +32,7 @@ from .bone_frames import (
 from .compared import drop_kept, keep, mark_edited
 from .influences import columns_of, rest_is_kept, slice_rows, strongest, turns_by, write_influences
 from .object_ref import ObjectRef, object_by_uid
+from .probes import follow_stack, is_probed_rightly, iter_prepare_probes, needs_probes, put_before_display
 from .rotation_nodes import add_rotation, find_rotation, frames_of
 from .single_user import own_mesh, sharers
 from .splat_object import is_splat_object, refuse_edit_mode
@@ -168,6 +169,8 @@ class NewWeights:
         self._groups.commit()
         restore_group_state(obj, state)
         write_influences(obj, self._deform, self._deform, self._index, self._value)
+        if not carried:
+            follow_stack(obj)  # the mesh is another than where it was bound
         if self._confidence is not None:
             write_attribute(obj.data, names.CONFIDENCE, "FLOAT", self._confidence)
         elif names.CONFIDENCE in obj.data.attributes:
@@ -271,16 +274,24 @@ def iter_update_rotation_weights(obj: bpy.types.Object) -> Steps[bool]:
     armature = _armature_of(obj)
     changed = not turns_by(obj, bones, index, value)
     frames = find_bone_frames(armature)
-    if not changed and frames is not None and frames_of(obj) == frames and rest_is_kept(obj):
+    as_it_was = not changed and frames is not None and frames_of(obj) == frames and rest_is_kept(obj)
+    if as_it_was and not needs_probes(obj) and is_probed_rightly(obj):
         return False
+    yield from iter_prepare_probes(obj)
+    obj = ref.find()
+    if as_it_was:
+        follow_stack(obj)  # of weights beyond the strongest, and of other armatures, nothing above knows
+        return True
     frames = ensure_bone_frames(armature)
     modifier = armature_modifier(obj)
+    put_before_display(obj)
     if find_rotation(obj) is None:
         show_posed_in_edit_mode(modifier)
     add_rotation(obj, frames, modifier)
     if any(bone_order(other) != bone_order(frames) for other in _frames_of_sharers(obj)):
         own_mesh(obj)  # the bones are stored by their number, which means another bone there
     write_influences(obj, bone_order(frames), bones, index, value)
+    follow_stack(obj)
     if changed:
         mark_edited(obj, True)
     return True
@@ -299,6 +310,7 @@ def repoint_frames(obj: bpy.types.Object) -> bool:
     if bone_order(frames) != deform_bone_names(armature) or is_outdated(frames, armature):
         return False
     add_rotation(obj, ensure_bone_frames(armature), armature_modifier(obj))
+    follow_stack(obj)
     return True
 
 

@@ -64,6 +64,7 @@ class SkinJob:
     kept: bool = False
     only: Array | None = None
     paintable: bool = False
+    edges_only: bool = False
     started: float = field(default_factory=time.monotonic)
     progress: ProgressEvent = field(default_factory=lambda: ProgressEvent("start"))
     progress_at: float = field(default_factory=time.monotonic)
@@ -149,6 +150,7 @@ class SkinJob:
             folder is not None,
             only,
             paintable,
+            chosen.edges_only,
         )
 
     def wait(self, show: Callable[[ProgressEvent], None]) -> None:
@@ -207,7 +209,8 @@ class SkinJob:
             if result.mesh_weights is None:
                 raise GSkinError("The worker gave no weights for the mesh; run Auto-Skin again.")
             weights = result.weights, result.mesh_weights
-            yield from iter_write_weights_through(splats, proxies[0], armature, *weights, result.bones, **options)
+            through = splats, proxies[0], armature, *weights, result.bones
+            yield from iter_write_weights_through(*through, **options, edges_only=self.edges_only)
         else:
             start_name = str(result.report.get("start") or "initial weights")
             start = None if result.start is None else (start_name, result.start)

@@ -271,7 +271,7 @@ def test_the_graph_of_the_first_click_is_made_beside_blender(splats, window, mon
     assert click.invoke(window, None) == {"RUNNING_MODAL"}
     assert not threads, "the click itself returns at once"
     while (answer := click.modal(window, TIMER)) == {"RUNNING_MODAL"}:
-        assert splats.mode == "OBJECT"
+        assert splats.mode == "EDIT", "leaving it and coming back would draw all splats twice"
     assert answer == {"FINISHED"}
     assert threads
     assert threading.main_thread() not in threads
@@ -295,10 +295,13 @@ def test_done_again_from_the_panel_it_is_done_at_once(splats, window):
 def test_escape_leaves_mode_and_selection(splats, window):
     click = Click()
     click.invoke(window, None)
+    objects, meshes = len(bpy.data.objects), len(bpy.data.meshes)
     click.modal(window, TIMER)
-    assert splats.mode == "OBJECT"
+    assert splats.mode == "EDIT"
+    assert len(bpy.data.objects) == objects + 1, "a copy is read"
     assert click.modal(window, ESCAPE) == {"CANCELLED"}
     assert splats.mode == "EDIT"
+    assert (len(bpy.data.objects), len(bpy.data.meshes)) == (objects, meshes)
     np.testing.assert_array_equal(selected(splats), np.arange(COUNT) == 7)
 
 
