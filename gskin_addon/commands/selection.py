@@ -19,9 +19,10 @@ Array = NDArray[Any]
 def read_selection(path: Path, count: int) -> Array:
     """Indices (K,) int64 of splats from a file: an .npz with the array `selected`, or a text of numbers.
 
-    `selected` has indices, or is a mask of all `count` splats.
+    `selected` has indices, or is a mask of all `count` splats, of bools or of zeros and ones; a text may be such a
+    mask, too.
 
-    Raises InputError: no such file, damaged, no splats, or others than 0 to `count` - 1.
+    Raises InputError: no such file, damaged, no splats, others than 0 to `count` - 1, a mask of another length.
     """
     try:
         if path.suffix.lower() == ".npz":
@@ -34,13 +35,24 @@ def read_selection(path: Path, count: int) -> Array:
         raise InputError(
             f"'{path}' is no selection ({error}); give an .npz with the array 'selected' or a text of splat numbers."
         ) from None
-    if chosen.dtype == np.bool_ and chosen.shape == (count,):
+    if _is_mask(chosen):
+        if chosen.shape != (count,):
+            raise InputError(
+                f"'{path}' is a mask of {chosen.size:,} splats, and there are {count:,}; make it from the same splats."
+            )
         chosen = np.flatnonzero(chosen)
     if chosen.ndim != 1 or not len(chosen) or chosen.dtype.kind not in "iu":
         raise InputError(f"'{path}' names no splats; give their numbers, from 0 to {count - 1}.")
     if chosen.min() < 0 or chosen.max() >= count:
         raise InputError(f"'{path}' names splats outside 0 to {count - 1}; make the selection from the same splats.")
     return chosen.astype(np.int64)
+
+
+def _is_mask(chosen: Array) -> bool:
+    """Whether the numbers say yes or no of splat after splat: as splats 0 and 1 they would come again and again."""
+    if chosen.dtype == np.bool_:
+        return True
+    return chosen.ndim == 1 and chosen.dtype.kind in "iu" and len(chosen) > 2 and bool(np.isin(chosen, (0, 1)).all())
 
 
 def read_walls(paths: Sequence[Path], count: int) -> Array:

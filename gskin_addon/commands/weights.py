@@ -78,7 +78,8 @@ def run(options: argparse.Namespace) -> None:
     how = {"reach": options.reach, "angle": options.angle, "inpaint": options.inpaint, "fit": options.fit}
     for option, value in options.changes:
         change, reached = _change(option, value, body, bones, selected, options.rim, how)
-        count = run_to_end(iter_edit_weights(obj, change, reached, lock=options.lock))
+        even = option in ("limit", "normalise")
+        count = run_to_end(iter_edit_weights(obj, change, reached, lock=options.lock, even=even))
         words = f"--{option.replace('_', '-')}: weights of {count:,} splats changed"
         print_message("; ".join([words, *body.notes]) + ".")
         body.notes.clear()
@@ -193,7 +194,8 @@ def _selection(options: argparse.Namespace, obj: bpy.types.Object, bones: list[s
     if options.select is not None:
         selected[read_selection(options.select, len(weights))] = True
     for name in options.select_bone:
-        selected |= weights.argmax(axis=1) == _column(name, bones, "--select-bone")
+        column = _column(name, bones, "--select-bone")
+        selected |= (weights.argmax(axis=1) == column) & (weights[:, column] > 0)
     if not selected.any():
         raise InputError("No splats are selected: no splat follows those bones most; choose other bones.")
     return selected

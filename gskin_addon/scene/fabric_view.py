@@ -10,6 +10,7 @@ from bpy.app.handlers import persistent
 
 from .fabric import has_fabric
 from .node_groups import find_display
+from .rotation_nodes import find_rotation, rest_in_edit_mode
 from .splat_object import is_splat_object
 
 CLASSES = ()
@@ -58,6 +59,16 @@ def start_over(*_: object) -> None:
     apply_to_all()
 
 
+@persistent
+def look_at_file(*_: object) -> None:
+    """What turns splats ran in Edit Mode, too, in files of older versions."""
+    for obj in bpy.data.objects:
+        rotation = find_rotation(obj) if is_splat_object(obj) and obj.library is None else None
+        if rotation is not None:
+            rest_in_edit_mode(rotation)
+    start_over()
+
+
 def _subscribe() -> None:
     bpy.msgbus.clear_by_owner(_owner)
     key: Any = (bpy.types.Object, "mode")
@@ -68,7 +79,7 @@ HANDLERS = (
     (bpy.app.handlers.depsgraph_update_post, follow),
     (bpy.app.handlers.undo_post, start_over),
     (bpy.app.handlers.redo_post, start_over),
-    (bpy.app.handlers.load_post, start_over),
+    (bpy.app.handlers.load_post, look_at_file),
 )
 
 

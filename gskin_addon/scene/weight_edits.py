@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
+from ..core.skinning.edits.assign import normalise
 from ..core.skinning.edits.keep import keep
 from . import names
 from .armature import deform_bone_names
@@ -26,18 +27,25 @@ from .weights import iter_read_weights, mark_edited
 Array = NDArray[Any]
 
 Change = Callable[[Array], Array]
-"""Weights (N, B) of the armature's deform bones to new ones; runs in a thread, without Blender."""
+"""Weights (N, B) of the armature's deform bones to new ones, rows of zeros to what they shall be; runs in a thread,
+without Blender."""
 
 
 def iter_edit_weights(
-    obj: bpy.types.Object, change: Change, selected: Array | None = None, *, lock: Collection[str] = ()
+    obj: bpy.types.Object,
+    change: Change,
+    selected: Array | None = None,
+    *,
+    lock: Collection[str] = (),
+    even: bool = False,
 ) -> Steps[int]:
     """Let `change` work on the weights of `obj`; the number of splats whose weights are others now.
 
     selected (N,) bool: only these change, all where left out. Groups that are locked, by the artist or by their name
     in `lock`, keep their weights to the bit, as do those of no bone; changed rows sum to 1 and keep the strongest
-    `names.INFLUENCES` bones, which is what turns splats. Splats without any weight take part as the first bone's. In
-    slices; only the last one changes the scene.
+    `names.INFLUENCES` bones, which is what turns splats. `change` gets rows that sum to 1, or to 0 for splats without
+    any weight; those that it gives back as they were stay to the bit, unless `even`: then they are brought to a sum of
+    1, too. In slices; only the last one changes the scene.
 
     Raises InputError: the object follows no armature, is in Edit Mode, or was changed meanwhile; all bones locked.
     """
@@ -52,9 +60,12 @@ def iter_edit_weights(
     painted, _ = yield from part_of(iter_read_weights(obj, bones), 0.0, 0.3)
 
     def work() -> tuple[Array, Array, Array]:
-        before = painted.copy()
-        before[before.sum(axis=1) <= 0, 0] = 1
-        after = keep(painted, change(before), selected=selected, locked=locked, most=names.INFLUENCES)
+        before = normalise(painted)
+        after = change(before.copy())
+        touched = np.ones(len(before), np.bool_) if even else (after != before).any(axis=1)
+        if selected is not None:  # known only now, where the change itself says which it reaches
+            touched &= selected
+        after = keep(painted, after, selected=touched, locked=locked, most=names.INFLUENCES)
         index, value = strongest(after, min(names.INFLUENCES, len(bones)))
         return after, index, np.where((after > 0).any(axis=1)[:, None], value, 0)
 

@@ -42,9 +42,14 @@ def online() -> bool:
     return bpy.app.online_access
 
 
-def _steps() -> Any:
+def _steps(options: type[DiffusionOptions]) -> Any:
+    low, high = options.__dataclass_fields__["steps"].metadata["range"]
     return bpy.props.IntProperty(
-        name="Steps", description="Denoising steps per image; 0: as many as the model wants", default=0, min=0, max=1000
+        name="Steps",
+        description="Denoising steps per image; 0: as many as the model wants",
+        default=0,
+        min=low,
+        max=high,
     )
 
 
@@ -112,7 +117,7 @@ class GSkinFlux2(_Options, bpy.types.PropertyGroup):
         description="What the model is told; {subject} stands for the subject",
         default=Flux2Options.prompt,
     )
-    steps: _steps()
+    steps: _steps(Flux2Options)
     offload: _offload(Flux2Options)
 
 
@@ -138,7 +143,7 @@ class GSkinFluxRepair(_Options, bpy.types.PropertyGroup):
         max=1.0,
         subtype="FACTOR",
     )
-    steps: _steps()
+    steps: _steps(FluxOptions)
     offload: _offload(FluxOptions)
 
 
@@ -160,7 +165,7 @@ class GSkinLightningDrag(_Options, bpy.types.PropertyGroup):
         ],
         default=LightningDragOptions.scheduler,
     )
-    steps: _steps()
+    steps: _steps(LightningDragOptions)
     offload: _offload(LightningDragOptions)
 
 

@@ -19,6 +19,7 @@ from gskin_addon.scene.fabric import has_fabric, iter_make_fabric, strip_fabric
 from gskin_addon.scene.gltf_export import export_glb
 from gskin_addon.scene.node_groups import find_display, set_display
 from gskin_addon.scene.posing import posed_cloud
+from gskin_addon.scene.rotation_nodes import find_rotation
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud
 from gskin_addon.scene.steps import run_to_end
 from gskin_addon.scene.weights import read_weights, write_weights
@@ -71,6 +72,26 @@ def test_nothing_that_is_posed_or_drawn_changes(scene):
     after = evaluated(obj)
     assert np.array_equal(drawn[0], after[0])
     assert drawn[1] == after[1]
+    rigs.assert_same_pose(obj, armature)
+
+
+def test_nothing_turns_splats_in_edit_mode(scene, tmp_path):
+    """Blender would make a mesh of what is edited after each click; files of older versions are mended."""
+    obj, armature = scene
+    assert not find_rotation(obj).show_in_editmode
+    find_rotation(obj).show_in_editmode = True
+    one, other = obj.name, armature.name
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "old.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "old.blend"))
+    obj, armature = bpy.data.objects[one], bpy.data.objects[other]
+    assert not find_rotation(obj).show_in_editmode
+    rigs.random_pose(armature, np.random.default_rng(1), 0.8)
+    bpy.context.view_layer.update()
+    posed, rest = posed_cloud(obj), read_cloud(obj)
+    assert np.abs(posed.means - rest.means).max() > 0.1
+    bpy.ops.object.mode_set(mode="EDIT")
+    assert np.allclose(evaluated(obj)[0], posed.means, atol=1e-4), "edited where the pose puts them"
+    bpy.ops.object.mode_set(mode="OBJECT")
     rigs.assert_same_pose(obj, armature)
 
 

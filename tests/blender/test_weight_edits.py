@@ -134,6 +134,30 @@ def test_nothing_selected_and_wrong_bones_are_refused(scene):
     assert np.array_equal(read_weights(obj)[0], before)
 
 
+def test_splats_without_weights_stay_so_or_take_what_is_given(scene):
+    """They stand still; nothing gives them to the first bone, which would drag them along."""
+    obj, _armature, _before = scene
+    bones = read_weights(obj)[1]
+    loose = np.arange(COUNT) < 30
+    for name in bones:
+        obj.vertex_groups[name].remove(np.flatnonzero(loose).tolist())
+    bpy.context.view_layer.update()
+    bpy.ops.gskin.sharpen_weights(amount=0.4)
+    assert (read_weights(obj)[0][loose] == 0).all()
+    select(obj, loose)
+    bpy.ops.gskin.flood_weights(bone=bones[3], weight=0.5)
+    assert (read_weights(obj)[0][loose, 3] == 1).all()
+    obj.vertex_groups[bones[3]].remove(np.flatnonzero(loose).tolist())
+    bpy.context.view_layer.update()
+    before = read_weights(obj)[0]
+    bpy.ops.gskin.smooth_weights(factor=0.5, repeat=1)
+    graph = body_graph(read_cloud(obj).means)
+    row = int(np.flatnonzero(loose & graph.linked.any(axis=1))[0])
+    mean = before[graph.neighbour[row][graph.linked[row]]].sum(axis=0)
+    expected = keep(before, np.tile(mean, (COUNT, 1)), most=4)[row]
+    np.testing.assert_allclose(read_weights(obj)[0][row], expected, atol=1e-5)
+
+
 def test_mirror_needs_sides(scene):
     _obj, _armature, _before = scene
     with pytest.raises(RuntimeError, match="left and right"):

@@ -115,6 +115,61 @@ def test_bad_selections(rigged, tmp_path, capsys, text):
     assert (code, "chosen.txt" in heard) == (2, True)
 
 
+@pytest.mark.parametrize("kind", ["bools", "numbers", "text", "short", "short numbers"])
+def test_masks_are_no_splat_numbers(rigged, tmp_path, capsys, kind):
+    """Zeros and ones for splat after splat, as many programs write masks, would else name splats 0 and 1."""
+    path, _ = rigged
+    mask = np.zeros(599 if "short" in kind else 600, bool)
+    mask[[301, 302, 303]] = True
+    chosen = tmp_path / ("chosen.txt" if kind == "text" else "chosen.npz")
+    if kind == "text":
+        np.savetxt(chosen, mask, fmt="%d")
+    else:
+        np.savez(chosen, selected=mask.astype(np.uint8) if "numbers" in kind else mask)
+    code, said = run(capsys, path, "--to-bone", "arm.R", "--select", chosen, "--weights", tmp_path / "w.npz")
+    if "short" in kind:
+        assert (code, "a mask of 599 splats, and there are 600" in said) == (2, True)
+    else:
+        assert (code, "of 3 splats changed" in said) == (0, True)
+
+
+def test_splats_without_weights_follow_no_bone_most(rigged, tmp_path, capsys):
+    path, _ = rigged
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    obj = bpy.data.objects["Body"]
+    for group in obj.vertex_groups:
+        group.remove([0, 1, 2])
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "bare.blend"))
+    with_spine = int((read_weights(obj, NAMES)[0].argmax(axis=1) == 0).sum()) - 3
+    out = tmp_path / "out.blend"
+    words = ("--select-bone", "spine", "--to-bone", "arm.R", "--limit", "2", "--normalise", "--out", out)
+    code, said = run(capsys, tmp_path / "bare.blend", *words)
+    assert (code, f"of {with_spine} splats changed" in said) == (0, True)
+    bpy.ops.wm.open_mainfile(filepath=str(out))
+    assert (read_weights(bpy.data.objects["Body"], NAMES)[0][:3] == 0).all()
+
+
+def test_normalise_is_for_all_and_other_changes_for_what_they_change(rigged, tmp_path, capsys):
+    """Blender's own tools leave sums other than 1."""
+    path, _ = rigged
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    obj = bpy.data.objects["Body"]
+    obj.vertex_groups["arm.L"].add([0, 1, 2], 0.7, "REPLACE")
+    painted = read_weights(obj, NAMES)[0]
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "painted.blend"))
+    sums = []
+    for word in (("--mirror", "left"), ("--normalise",)):
+        out = tmp_path / "out.blend"
+        assert run(capsys, tmp_path / "painted.blend", *word, "--out", out)[0] == 0
+        bpy.ops.wm.open_mainfile(filepath=str(out))
+        after = read_weights(bpy.data.objects["Body"], NAMES)[0]
+        sums.append(after[:3].sum(axis=1))
+        if "left" in word:
+            assert np.array_equal(after[:300], painted[:300])
+    assert (sums[0] > 1.1).any()
+    np.testing.assert_allclose(sums[1], 1, atol=1e-6)
+
+
 def test_mirror_in_the_window(rigged):
     import gskin_addon
 

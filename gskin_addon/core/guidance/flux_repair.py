@@ -29,7 +29,7 @@ from .diffusion import (
     device_memory,
     generator,
 )
-from .model_files import ModelFiles, find_model, first_line, require, stamp
+from .model_files import ModelFiles, check_numbers, find_model, first_line, require, stamp, too_many
 from .options import FluxOptions, KleinOptions
 from .provider import GuidanceContext
 
@@ -144,13 +144,19 @@ def _whole(kind: Any, folder: Path, part: str, how: Mapping[str, Any]) -> Any:
     """A model of the pipeline with every tensor from the file; the libraries make up what is missing.
 
     Raises:
-        InputError: one is missing or has another shape.
+        InputError: one is missing, too many or has another shape, or has numbers that are not finite.
     """
     model, report = kind.from_pretrained(folder, subfolder=part, output_loading_info=True, **how)
     for complaint, words in (("missing_keys", "lacks the tensor"), ("mismatched_keys", "has another shape of")):
         found = sorted(str(key) for key in report[complaint] if not any(name in str(key) for name in _UNUSED))
         if found:
             raise InputError(f"The {part} in '{folder}' {words} '{found[0]}'; get its files again.")
+    found = [key for key in too_many(kind, report) if not any(name in key for name in _UNUSED)]
+    if found:
+        raise InputError(
+            f"The config.json of the {part} in '{folder}' has no place for '{found[0]}'; get its files again."
+        )
+    check_numbers(f"The {part} in '{folder}'", model.named_parameters())
     return model
 
 

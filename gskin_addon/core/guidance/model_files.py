@@ -8,7 +8,7 @@ pickles read by torch's own restricted reader.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
@@ -147,7 +147,7 @@ def load_tensors(path: Path, what: str) -> dict[str, Any]:
     """The named tensors of a .safetensors file or of a .pt/.bin pickle, on the CPU; no code in it is run.
 
     Raises:
-        InputError: the file is missing, or is not what its name says.
+        InputError: the file is missing, is not what its name says, or holds numbers that no plain weights are.
     """
     import torch
 
@@ -170,7 +170,52 @@ def load_tensors(path: Path, what: str) -> dict[str, Any]:
         ) from error
     if not isinstance(tensors, dict):
         raise InputError(f"The {what} '{path}' does not hold named tensors; get the right file.")
+    check_numbers(f"The {what} '{path}'", _flat(tensors))
     return tensors
+
+
+def check_numbers(what: str, tensors: Iterable[tuple[str, Any]]) -> None:
+    """Raise InputError where a tensor is not of decimal numbers, as in quantised models, or some are not finite.
+
+    Both would be taken silently for weights of another size. Scalars, such as a LoRA's alpha, may be whole numbers.
+    """
+    import torch
+
+    plain = (torch.float64, torch.float32, torch.float16, torch.bfloat16)
+    for key, tensor in tensors:
+        if not isinstance(tensor, torch.Tensor):
+            continue
+        if tensor.dtype not in plain and (tensor.ndim or tensor.dtype not in (torch.int64, torch.int32)):
+            kind = str(tensor.dtype).removeprefix("torch.")
+            raise InputError(
+                f"{what} has '{key}' as {kind}, as quantised models do; get the file with its weights as they were "
+                "trained (float32, float16 or bfloat16)."
+            )
+        if not torch.isfinite(tensor).all():
+            raise InputError(f"{what} has numbers in '{key}' that are not finite; get the file again.")
+
+
+def too_many(kind: Any, report: Mapping[str, Any]) -> list[str]:
+    """Tensors of a file that a model built by its config.json has no place for, and that the libraries leave out
+    silently: the config is another model's, or says fewer layers.
+
+    kind: a class of diffusers, or of transformers, whose files may also hold the other half of a model, and buffers of
+    older versions: of those only layers of the same half count. report: the loading information of `from_pretrained`.
+    """
+    found = sorted(str(key) for key in report["unexpected_keys"])
+    if not kind.__module__.startswith("transformers"):
+        return found
+    other = "text_model." if "Vision" in kind.__name__ else "vision_model."
+    return [key for key in found if "layers." in key and not key.startswith(other)]
+
+
+def _flat(tensors: Mapping[Any, Any], above: str = "") -> Iterable[tuple[str, Any]]:
+    """Names and values of tables in tables."""
+    for key, value in tensors.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{above}{key}.")
+        else:
+            yield f"{above}{key}", value
 
 
 def check_pickle_reader(what: str, path: Path) -> None:

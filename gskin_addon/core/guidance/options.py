@@ -20,6 +20,8 @@ NOT_AN_OPTION = "allow_download"
 """gskin 0.1.0 wrote the person's consent among the options; see `consent.py`."""
 OFFLOADS = ("auto", "none", "model", "sequential")
 DTYPES = ("auto", "float32", "float16", "bfloat16")
+LCM_STEPS = 50
+"""As many as an LCM LoRA was distilled from."""
 
 
 def ranged(default: Any, low: float, high: float) -> Any:
@@ -75,7 +77,12 @@ class DiffusionOptions:
             raise InputError(
                 f"The guidance '{guidance}' has no option '{unknown[0]}'; it knows {', '.join(sorted(known))}."
             )
-        return cls(**{name: _checked(known[name], value, guidance) for name, value in values.items()})
+        chosen = cls(**{name: _checked(known[name], value, guidance) for name, value in values.items()})
+        chosen.check(guidance)
+        return chosen
+
+    def check(self, guidance: str) -> None:
+        """Raise InputError for settings that each are allowed, but not together."""
 
     def identity(self) -> dict[str, Any]:
         """The settings that decide what the pictures look like, as plain values."""
@@ -155,6 +162,8 @@ class LightningDragOptions(DiffusionOptions):
 
     # Its attentions hold weights of their own, which off-loading layer by layer would leave behind.
     offload: str = unseen("auto", choices=("auto", "none", "model"))
+    # With more, diffusers' DDIM would begin in the midst of the noise.
+    steps: int = ranged(0, 0, 500)
 
     models: str = place()
     base: str = place()
@@ -165,6 +174,14 @@ class LightningDragOptions(DiffusionOptions):
     scheduler: str = one_of("lcm", ("lcm", "ddim"))
     guidance_scale: float = ranged(0.0, 0.0, 30.0)
     max_points: int = ranged(-1, -1, 512)
+
+    def check(self, guidance: str) -> None:
+        """See DiffusionOptions."""
+        if self.scheduler == "lcm" and self.steps > LCM_STEPS:
+            raise InputError(
+                f"The option steps of '{guidance}' is {self.steps}; the scheduler lcm takes {LCM_STEPS} at most, "
+                "so choose fewer, or the scheduler ddim."
+            )
 
     def models_named(self) -> dict[str, str]:
         """See DiffusionOptions; a role without a name of its own lies in its folder of `models`."""

@@ -26,9 +26,10 @@ class GuidanceContext:
 
     cloud, skeleton: in the same space; initial (N, B): the weights that learning starts from;
     distances (N, B): from splats to bones through the body; index (N,): which of the job's splats these are,
-    all of them in their order when left out; options: the provider's own settings; seed: of all its randomness;
-    checkpoint: a folder where it may keep what it has made, none by default; tick: called now and then with the
-    finished part (0 to 1) of all images and a short message; raises Cancelled when the user stops the job.
+    all of them in their order when left out; whole: how many splats the job has; options: the provider's own
+    settings; seed: of all its randomness; checkpoint: a folder where it may keep what it has made, none by default;
+    tick: called now and then with the finished part (0 to 1) of all images and a short message; raises Cancelled when
+    the user stops the job.
     """
 
     cloud: SplatCloud
@@ -36,6 +37,7 @@ class GuidanceContext:
     initial: NDArray[np.float32]
     distances: NDArray[np.float32]
     index: NDArray[np.int64] | None = None
+    whole: int | None = None
     background: tuple[float, float, float] = (1.0, 1.0, 1.0)
     options: Mapping[str, Any] = field(default_factory=dict)
     seed: int = 0

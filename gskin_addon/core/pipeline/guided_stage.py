@@ -141,6 +141,7 @@ class GuidedStage:
             initial,
             distances,
             index=subset.index,
+            whole=self.job.cloud.count,
             options=chosen.options,
             seed=chosen.seed,
             checkpoint=self.job.checkpoint,

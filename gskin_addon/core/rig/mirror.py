@@ -98,6 +98,25 @@ def mirror_partners(skeleton: Skeleton, point: Array, normal: Array) -> Array:
     return partner
 
 
+def mirror_targets(skeleton: Skeleton, point: Array, normal: Array) -> Array:
+    """(B,) int64: the bone that gets on the other side what each bone has on this one.
+
+    Its partner, see `mirror_partners`. A bone of one side alone, such as that of a shield, has none: what it moves goes
+    on the other side with the partner of the bone that carries it. Others without a partner stand for themselves.
+    """
+    partner = mirror_partners(skeleton, point, normal)
+    ends = np.concatenate([skeleton.heads, skeleton.tails])
+    close = CLOSE * float(np.linalg.norm(ends.max(axis=0) - ends.min(axis=0)))
+    off = (np.stack([skeleton.heads, skeleton.tails]) - point) @ normal
+    aside = (off > close).all(axis=0) | (off < -close).all(axis=0)
+    target = np.empty(skeleton.count, np.int64)
+    for bone, parent in enumerate(skeleton.parents.tolist()):  # parents come first
+        target[bone] = partner[bone] if partner[bone] >= 0 else bone
+        if partner[bone] < 0 and parent >= 0 and (side_of_name(skeleton.names[bone]) or aside[bone]):
+            target[bone] = target[parent]
+    return target
+
+
 def mirrored(points: Array, point: Array, normal: Array) -> Array:
     """points (N, 3) on the other side of the plane through point (3,) with the unit normal (3,)."""
     points = np.asarray(points, np.float64)

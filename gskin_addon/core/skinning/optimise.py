@@ -88,7 +88,7 @@ class Optimiser:
         self._rng = np.random.default_rng(options.seed)
         self._queue: list[int] = []
         self._rate = preset.learning_rate * field.rate
-        self._adam = torch.optim.Adam(field.parameters(), lr=self._rate, betas=(0.9, 0.99))
+        self._adam = torch.optim.Adam(field.parameters(), lr=self._rate, betas=(0.9, 0.99), fused=True)
         self._poser: Poser = poser or SplatPoser(cloud, losses.arap_neighbours)
         self._device_renderer = self._make_device_renderer(cloud, background)
         # A GPU gains less from fewer splats than finding the visible ones costs.

@@ -139,3 +139,35 @@ def test_oracle_refuses_weights_of_another_cloud(limb, tmp_path):
     )
     with pytest.raises(InputError, match="same splats and armature"):
         create_provider("oracle", context)
+
+
+def oracle(limb, folder, index=None, **arrays):
+    np.savez(folder / "w.npz", **arrays)
+    given = {"index": index, "whole": limb.cloud.count, "options": {"oracle_weights": str(folder / "w.npz")}}
+    return create_provider("oracle", GuidanceContext(limb.cloud, limb.skeleton, limb.weights, limb.weights, **given))
+
+
+@pytest.mark.parametrize("change", [lambda w: w * np.nan, lambda w: -w, lambda w: 0 * w, lambda w: 2 * w])
+def test_oracle_refuses_numbers_that_are_no_weights(limb, tmp_path, change):
+    with pytest.raises(InputError, match="negative or not finite, or do not sum to 1"):
+        oracle(limb, tmp_path, weights=change(limb.weights))
+
+
+@pytest.mark.parametrize("weights", [3.0, np.zeros((2, 3, 4)), np.full((4, 3), "a"), np.zeros((4, 3), complex)])
+def test_oracle_refuses_what_is_no_table(limb, tmp_path, weights):
+    with pytest.raises(InputError, match="not a table of numbers"):
+        oracle(limb, tmp_path, weights=weights)
+
+
+def test_oracle_takes_no_larger_cloud_for_this_one(limb, tmp_path):
+    twice = np.concatenate([limb.weights, limb.weights])
+    with pytest.raises(InputError, match="same splats and armature"):
+        oracle(limb, tmp_path, np.arange(limb.cloud.count), weights=twice)
+
+
+def test_oracle_heeds_the_names_of_bones(limb, tmp_path):
+    names = np.array(limb.skeleton.names)
+    known = oracle(limb, tmp_path, weights=limb.weights[:, ::-1], bones=names[::-1])
+    np.testing.assert_array_equal(known._weights, limb.weights)
+    with pytest.raises(InputError, match="other bones than the armature"):
+        oracle(limb, tmp_path, weights=limb.weights, bones=np.char.add(names, "_"))

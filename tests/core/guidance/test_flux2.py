@@ -262,6 +262,13 @@ def test_weights_that_are_cut_off_or_lack_a_tensor(copy):
     save_file({key: value for key, value in state.items() if key != "proj_out.weight"}, path, {"format": "pt"})
     with pytest.raises(InputError, match=r"copy.*proj_out\.weight"):
         Flux2Painter(copy, options)
+    whole = {**state, "proj_out.weight": torch.full_like(state["proj_out.weight"], float("nan"))}
+    save_file(whole, path, {"format": "pt"})
+    with pytest.raises(InputError, match=r"transformer in .*'proj_out\.weight' that are not finite"):
+        Flux2Painter(copy, options)
+    save_file({**state, "one_more.weight": torch.zeros(2)}, path, {"format": "pt"})
+    with pytest.raises(InputError, match=r"transformer in .* has no place for 'one_more\.weight'"):
+        Flux2Painter(copy, options)
     path.write_bytes(path.read_bytes()[:1000])
     with pytest.raises(InputError, match="does not load"):
         Flux2Painter(copy, options)
@@ -285,6 +292,8 @@ def test_loras_that_do_not_fit_are_named(model, lora, tmp_path):
     assert other != key
     assert "blocks.7" in said({other if name == key else name: value for name, value in state.items()})
     assert "is empty" in said({})
+    assert "not finite" in said({**state, key: torch.full_like(state[key], float("inf"))})
+    assert "as int8, as quantised models" in said({**state, key: state[key].to(torch.int8)})
     path.write_bytes((lora / LORA).read_bytes()[:300])
     with pytest.raises(InputError, match="cannot be read as plain weights"):
         Flux2Painter(model, options)

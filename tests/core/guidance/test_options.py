@@ -37,6 +37,14 @@ def test_wrong_options_are_one_sentence(values, words):
         check_options("flux_repair", values)
 
 
+@pytest.mark.parametrize(("scheduler", "most"), [("lcm", 50), ("ddim", 500)])
+def test_steps_that_the_scheduler_does_not_have_are_refused(scheduler, most):
+    """diffusers' LCM stops at more, its DDIM begins in the midst of the noise, whatever the latents are."""
+    check_options("lightning_drag", {"scheduler": scheduler, "steps": most})
+    with pytest.raises(InputError, match=f"steps of 'lightning_drag' is {most + 1}"):
+        check_options("lightning_drag", {"scheduler": scheduler, "steps": most + 1})
+
+
 def test_what_does_not_change_the_pictures_is_not_part_of_their_identity():
     here = FluxOptions(model="a", device="cpu", batch=1).identity()
     there = FluxOptions(model="a", device="cuda", batch=4, offload="model").identity()

@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 
 from gskin_addon.core.errors import InputError
-from gskin_addon.core.rig.mirror import mirror_partners, mirror_plane, mirrored, mirrored_name, side_of_name
+from gskin_addon.core.rig.mirror import (
+    mirror_partners,
+    mirror_plane,
+    mirror_targets,
+    mirrored,
+    mirrored_name,
+    side_of_name,
+)
 from gskin_addon.core.rig.skeleton import Skeleton
 
 
@@ -56,6 +63,16 @@ def test_plane_and_partners_of_a_turned_figure():
     assert np.allclose(normal, turn[:, 0], atol=1e-9)
     assert np.allclose(mirrored(skeleton.heads[1:2], point, normal), skeleton.heads[2:3])
     assert mirror_partners(skeleton, point, normal).tolist() == [0, 2, 1, 4, 3, -1, -1]
+
+
+def test_what_one_side_alone_has_goes_with_what_carries_it():
+    names = ("spine", "Arm.L", "Arm.R", "Shield.L", "strap", "Pouch", "tail")
+    heads = np.array([[0, 0, 0], [0.2, 0, 1], [-0.2, 0, 1], [1, 0, 1], [1.2, 0, 1], [0.3, 0.4, 0], [0, -0.1, 0]])
+    tails = np.array([[0, 0, 1], [1, 0, 1], [-1, 0, 1], [1.2, 0, 1], [1.3, 0, 1], [0.4, 0.5, 0], [0.3, -1, 0]])
+    skeleton = Skeleton(names, np.array([-1, 0, 0, 1, 3, 0, 0]), heads.astype(float), tails.astype(float))
+    point, normal = mirror_plane(skeleton)
+    # Shield and strap are carried by the left arm, the pouch by the spine; the tail hangs askew and stays a tail.
+    assert mirror_targets(skeleton, point, normal).tolist() == [0, 2, 1, 2, 2, 0, 6]
 
 
 def test_a_skeleton_without_sides_is_refused():

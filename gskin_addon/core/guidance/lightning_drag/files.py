@@ -114,7 +114,14 @@ class Files:
     def fine_tuned(self) -> dict[str, Any]:
         """What `fine_tuned.json` says; empty for a checkpoint as published."""
         path = self.lightning_drag / FINE_TUNED
-        return read_table(path) if path.is_file() else {}
+        table = read_table(path) if path.is_file() else {}
+        most = table.get("max_points", 0)
+        if type(most) is not int or most < 0:
+            raise InputError(
+                f"'{path}' says max_points {most!r}, which is no number of control points; write a whole number from 0 "
+                "up, or get the file again."
+            )
+        return table
 
 
 def _all_patterns(files: ModelFiles) -> list[str]:

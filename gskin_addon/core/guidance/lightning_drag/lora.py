@@ -40,7 +40,11 @@ def merge_lora(unet: nn.Module, state: Mapping[str, torch.Tensor], what: str) ->
         if not {"down", "up"} <= set(part):
             raise InputError(f"{what} lacks one half of the layer '{name}'; get the file again.")
         module: Any = unet.get_submodule(name)
-        change = lora_change(part["down"], part["up"], part.get("alpha"))
+        down, up, alpha = part["down"], part["up"], part.get("alpha")
+        fit = down.ndim > 1 and up.ndim > 1 and 0 < len(down) == up.shape[1]
+        if not fit or (alpha is not None and alpha.numel() != 1):
+            raise InputError(f"{what} has two halves of the layer '{name}' that do not fit; get the file again.")
+        change = lora_change(down, up, alpha)
         if change.shape != module.weight.shape:
             raise InputError(
                 f"{what} changes '{name}' as {tuple(change.shape)}, but the base model has "

@@ -12,13 +12,17 @@ import torch
 from torch import nn
 
 from ...errors import InputError
-from ..model_files import check_pickle_reader, first_line, load_tensors
+from ..model_files import check_numbers, check_pickle_reader, first_line, load_tensors, too_many
 from .appearance import absent_keys, prune
 from .files import APPEARANCE, ATTENTION, POINTS, Files, read_table
 from .image_tokens import ImageTokens
 from .lora import merge_lora
 from .point_embedding import PointEmbedding, width_of
 from .processors import install, self_attentions
+from .schedule import FIRST_TIMESTEP, Schedule
+
+SCALING = 0.18215
+"""Of the latents of Stable Diffusion 1.5; SDXL's VAE has the same tensors and other latents, scaled by 0.13025."""
 
 
 @dataclass
@@ -79,8 +83,7 @@ def load(files: Files, dtype: torch.dtype, trained: torch.dtype | None = None) -
     load_attention(files.lightning_drag / ATTENTION, processors, adapter)
     appearance = load_appearance(files.lightning_drag / APPEARANCE, unet.config, trained)
     vae = _pretrained(AutoencoderKL, files.vae, "VAE", torch_dtype=dtype)
-    if vae.config.latent_channels != 4 or len(vae.config.block_out_channels) != 4:
-        raise InputError(f"The VAE in '{files.vae}' is not one of Stable Diffusion 1.5; choose such a one.")
+    _check_vae(vae.config, files.vae)
     vae.enable_slicing()
     model = LightningDrag(
         unet=unet,
@@ -198,8 +201,8 @@ def read_ip_adapter(path: Path, processors: nn.ModuleList) -> IPAdapter:
     what = f"The IP-Adapter '{path}'"
     groups: dict[str, dict[str, Any]] = {"image_proj": {}, "ip_adapter": {}}
     for key, value in load_tensors(path, "IP-Adapter").items():
-        group, _, rest = key.partition(".")
-        if group not in groups:
+        group, _, rest = str(key).partition(".")
+        if group not in groups or not (rest or isinstance(value, dict)):
             raise InputError(f"{what} has '{key}', which does not belong there; choose ip-adapter_sd15.")
         groups[group].update({rest: value} if rest else value)
     cross = nn.ModuleDict({str(i): processors[i] for i in range(1, len(processors), 2)})
@@ -227,6 +230,8 @@ def empty_prompt(base: Path, width: int) -> torch.Tensor:
     try:
         tokenizer = CLIPTokenizer.from_pretrained(base / "tokenizer", local_files_only=True)
         length = encoder.config.max_position_embeddings
+        if len(tokenizer) < encoder.config.vocab_size:
+            raise ValueError(f"it knows {len(tokenizer)} words, the text encoder {encoder.config.vocab_size}")
         tokens = tokenizer("", padding="max_length", max_length=length, return_tensors="pt").input_ids
         with torch.no_grad():
             states: torch.Tensor = encoder(tokens)[0]
@@ -259,7 +264,26 @@ def _pretrained(kind: Any, folder: Path, what: str, **settings: Any) -> Any:
         if report[complaint]:
             first = sorted(str(key) for key in report[complaint])[0]
             raise InputError(f"The {what} in '{folder}' {words} '{first}'; get the right files.")
+    extra = too_many(kind, report)
+    if extra:
+        raise InputError(
+            f"The config.json of the {what} in '{folder}' has no place for '{extra[0]}'; get the right files."
+        )
+    check_numbers(f"The {what} in '{folder}'", model.named_parameters())
     return model
+
+
+def _check_vae(config: Any, folder: Path) -> None:
+    """Raise InputError unless the latents are those of Stable Diffusion 1.5, whose tensors others have, too."""
+    if config.latent_channels != 4 or len(config.block_out_channels) != 4:
+        raise InputError(f"The VAE in '{folder}' is not one of Stable Diffusion 1.5; choose such a one.")
+    for name, wanted in (("scaling_factor", SCALING), ("shift_factor", None), ("latents_mean", None)):
+        given = getattr(config, name, wanted) or None
+        if given != wanted:
+            raise InputError(
+                f"The VAE in '{folder}' has the {name} {given!r}, not {wanted!r}, so it is not one of Stable Diffusion "
+                "1.5; choose such a one, as sd-vae-ft-mse."
+            )
 
 
 def _quiet() -> None:
@@ -278,10 +302,28 @@ def _ip_adapter_file(folder: Path) -> Path:
 
 
 def _scheduler(path: Path) -> dict[str, Any]:
+    """The base model's schedule of noise; everything that diffusers would make up must be said there."""
     config = read_table(path)
     if config.get("prediction_type", "epsilon") != "epsilon":
         raise InputError(
             f"The base model's '{path}' says that it predicts {config['prediction_type']}, not epsilon; "
             "choose a Stable Diffusion 1.5 inpainting model."
         )
+    needed = () if config.get("trained_betas") else ("beta_start", "beta_end", "beta_schedule")
+    for name in needed:
+        if name not in config:
+            raise InputError(f"The base model's '{path}' does not say its {name}; get the file again.")
+    try:
+        for kind in ("ddim", "lcm"):
+            schedule = Schedule.of(kind).scheduler(config, torch.device("cpu"))
+            kept = schedule.alphas_cumprod
+            if len(kept) != FIRST_TIMESTEP + 1 or not 0 < kept[-1] < kept[0] < 1 or not (kept.diff() < 0).all():
+                raise ValueError(f"{len(kept)} times whose noise does not grow from 0 to 1")
+            if not 0 <= int(schedule.timesteps.min()) <= int(schedule.timesteps.max()) <= FIRST_TIMESTEP:
+                raise ValueError("steps at times that it does not have")
+    except Exception as error:  # of diffusers, torch, numpy
+        raise InputError(
+            f"The base model's '{path}' holds no schedule of noise that works ({first_line(error)}); get the file of "
+            "a Stable Diffusion 1.5 inpainting model."
+        ) from error
     return config

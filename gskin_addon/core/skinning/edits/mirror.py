@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...rig.mirror import mirror_partners, mirror_plane, mirrored
+from ...rig.mirror import mirror_plane, mirror_targets, mirrored
 from ...rig.nearest_points import nearest_points
 from ...rig.skeleton import Skeleton
 
@@ -28,7 +28,7 @@ def mirror(
 
     weights (N, B), rows sum to 1; means (N, 3) metres, in the rest pose, world space as the skeleton; source: "left" or
     "right" by the bones' names; selected (N,) bool: only these change. Splats are not in pairs: each takes the mean of
-    the `NEAREST` splats around its mirrored place, by their distance. A bone without a partner is its own.
+    the `NEAREST` splats around its mirrored place, by their distance. Bones without a partner: see `mirror_targets`.
 
     Returns (N, B) float32, rows sum to 1, and (N,) bool: splats of that side that have no other side, which stay.
 
@@ -36,8 +36,7 @@ def mirror(
         InputError: no bones are named as left and right.
     """
     point, normal = mirror_plane(skeleton)
-    partner = mirror_partners(skeleton, point, normal)
-    partner = np.where(partner < 0, np.arange(skeleton.count), partner)
+    target_of = mirror_targets(skeleton, point, normal)
     means = np.asarray(means, np.float64)
     off = (means - point) @ normal
     if source == "right":
@@ -59,9 +58,9 @@ def mirror(
     mixed = np.zeros((len(rows), out.shape[1]))
     for k in range(way.shape[1]):
         mixed += pull[:, k, None] * out[index[:, k]]
-    # Weights of a bone go to its partner; two bones with one partner add up.
+    # Weights of a bone go to its partner; those of two bones with one partner add up.
     turned = np.zeros_like(mixed)
-    for bone, other in enumerate(partner):
+    for bone, other in enumerate(target_of):
         turned[:, other] += mixed[:, bone]
     out[rows] = turned / np.maximum(turned.sum(axis=1, keepdims=True), 1e-12)
     return out, alone

@@ -58,9 +58,10 @@ class SparseUpsample(torch.nn.Module):
     def forward(self, features: torch.Tensor) -> torch.Tensor:
         """Inputs (M, inputs) at the coarse voxels -> outputs (N, outputs) at the fine ones."""
         padded = torch.nn.functional.pad(features, (0, 0, 0, 1))
+        # Taken apart at once: the gradient of each `weight[number]` would be a whole tensor, zero elsewhere.
         parts = [
-            _Taps.apply(padded, self.weight[number], gather)  # type: ignore[no-untyped-call]
-            for number, gather in enumerate(self._gathers)
+            _Taps.apply(padded, weight, gather)  # type: ignore[no-untyped-call]
+            for weight, gather in zip(self.weight.unbind(), self._gathers, strict=True)
         ]
         return torch.cat(parts)[self._order] + self.bias
 

@@ -59,6 +59,8 @@ def load_model(path: Path) -> tuple[PriorNetwork, ...]:
         shape, number = _shape(about["shape"]), about["networks"]
         if type(number) is not int or not 0 < number <= len(tensors):
             raise ValueError("no networks")
+        if not all(np.isfinite(tensor).all() and tensor.dtype.kind == "f" for tensor in tensors.values()):
+            raise ValueError("numbers that are not finite")
         return tuple(
             PriorNetwork(shape, {name: tensors.get(f"{i}.{name}", _NOTHING) for name in parameter_shapes(shape)})
             for i in range(number)
@@ -100,6 +102,10 @@ def _open(path: Path, *, tensors: bool = True) -> tuple[dict[str, Any], dict[str
         missing = {"networks", "shape", "features", "left_out", "families", "training"} - set(about)
     except (ValueError, TypeError) as error:
         raise InputError(f"'{path}' has broken metadata; train it again with gskin train-prior.") from error
-    if missing:
+    if missing or not isinstance(about, dict):
+        raise InputError(f"'{path}' has broken metadata; train it again with gskin train-prior.")
+    lists = [about.get(name, []) for name in ("features", "roles", "left_out", "families")]
+    words = all(isinstance(part, list) and all(isinstance(word, str) for word in part) for part in lists)
+    if not words or not isinstance(about["training"], dict):
         raise InputError(f"'{path}' has broken metadata; train it again with gskin train-prior.")
     return about, found

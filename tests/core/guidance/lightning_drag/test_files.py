@@ -307,6 +307,101 @@ def test_a_pickle_with_code_in_it_is_not_run(tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+def quantised(state):
+    state.update({key: (100 * value).to(torch.int8) for key, value in state.items()})
+
+
+def spoilt_number(state):
+    key = next(iter(state))
+    state[key] = torch.full_like(state[key], float("nan"))
+
+
+@pytest.mark.parametrize("file", [POINTS, ATTENTION, ENCODER, LORA])
+@pytest.mark.parametrize(("change", "words"), [(quantised, "as int8"), (spoilt_number, "not finite")])
+def test_numbers_that_are_no_weights_are_refused(mine, unet, file, change, words):
+    """Loading would take both without a word: the one 100 times too large, the other as pictures of nothing."""
+    spoil(mine / file, change)
+    with pytest.raises(InputError, match=f"{mine / file}.*{words}"):
+        read_one(mine, file, unet)
+
+
+@pytest.mark.parametrize("file", WEIGHTS[:4])
+def test_whole_models_are_of_finite_numbers(mine, file):
+    spoil(mine / file, spoilt_number)
+    with pytest.raises(InputError, match=f"{(mine / file).parent}.*not finite"):
+        load_all(mine, scheduler="ddim")
+
+
+@pytest.mark.parametrize("change", [lambda d: d.update(image_proj=[1]), lambda d: d.update({3: d["ip_adapter"]})])
+def test_an_ip_adapter_of_other_tables_is_refused(mine, unet, change):
+    spoil(mine / ADAPTER, change)
+    with pytest.raises(InputError, match="does not belong there; choose ip-adapter_sd15"):
+        read_one(mine, ADAPTER, unet)
+
+
+PROJECTION = "lora_unet_mid_block_attentions_0_proj_in"
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {f"{PROJECTION}.lora_down.weight": torch.zeros(3, 32, 1, 1)},
+        {
+            f"{PROJECTION}.lora_down.weight": torch.zeros(0, 32, 1, 1),
+            f"{PROJECTION}.lora_up.weight": torch.zeros(32, 0, 1, 1),
+        },
+        {f"{PROJECTION}.alpha": torch.ones(2)},
+    ],
+)
+def test_halves_of_a_lora_that_do_not_fit_are_named(mine, unet, changed):
+    spoil(mine / LORA, lambda state: state.update(changed))
+    with pytest.raises(InputError, match=r"two halves of the layer 'mid_block\.attentions\.0\.proj_in'"):
+        read_one(mine, LORA, unet)
+
+
+@pytest.mark.parametrize(
+    ("config", "changed", "words"),
+    [
+        ("vae/config.json", {"scaling_factor": 0.13025}, "scaling_factor 0.13025, not 0.18215"),
+        ("vae/config.json", {"shift_factor": 0.1}, "shift_factor 0.1"),
+        ("vae/config.json", {"layers_per_block": 0}, "config.json of the VAE .* has no place for 'decoder"),
+        ("vae/config.json", {"use_quant_conv": False}, "no place for 'quant_conv"),
+        ("base/text_encoder/config.json", {"num_hidden_layers": 0}, "text encoder .* no place for '.*layers.0"),
+        ("ip_adapter/models/image_encoder/config.json", {"num_hidden_layers": 0}, "image encoder .* no place for"),
+        ("base/scheduler/scheduler_config.json", {"num_train_timesteps": 500}, "no schedule of noise that works"),
+        ("base/scheduler/scheduler_config.json", {"num_train_timesteps": "1000"}, "no schedule of noise that works"),
+        ("base/scheduler/scheduler_config.json", {"beta_schedule": "steep"}, "no schedule of noise that works .*steep"),
+        ("base/scheduler/scheduler_config.json", {"beta_end": float("nan")}, "no schedule of noise that works"),
+        ("base/scheduler/scheduler_config.json", {"steps_offset": 50}, "no schedule of noise that works"),
+    ],
+)
+def test_configurations_of_another_model_are_refused(mine, config, changed, words):
+    """What the libraries would take silently, and paint something else with."""
+    edit_config(mine / config, **changed)
+    with pytest.raises(InputError, match=words):
+        load_all(mine, scheduler="ddim")
+
+
+def test_a_tokenizer_of_fewer_words_than_its_text_encoder_is_refused(mine):
+    """Its start and end of a text would have other numbers."""
+    (mine / "base/tokenizer/vocab.json").write_text("{}")
+    with pytest.raises(InputError, match=r"tokenizer in .* knows 2 words, the text encoder 8"):
+        load_all(mine, scheduler="ddim")
+
+
+def test_a_schedule_is_not_made_up(mine):
+    (mine / "base/scheduler/scheduler_config.json").write_text("{}")
+    with pytest.raises(InputError, match="does not say its beta_start"):
+        load_all(mine, scheduler="ddim")
+
+
+@pytest.mark.parametrize("number", ["-5", "null", '"7"', "3.5", "true", "1e400"])
+def test_how_many_points_a_checkpoint_takes_is_a_number(mine, number):
+    (mine / "lightning_drag/fine_tuned.json").write_text(f'{{"max_points": {number}}}')
+    with pytest.raises(InputError, match=r"fine_tuned\.json' says max_points"):
+        find_files(LightningDragOptions(models=str(mine))).fine_tuned()
+
+
 def test_the_appearance_encoders_config_may_hold_anything(mine):
     """The original builds it from the base model's configuration."""
     config = mine / "lightning_drag/appearance_encoder/config.json"

@@ -74,13 +74,17 @@ def test_files_that_do_not_hold_what_they_say_are_refused(tmp_path):
         ({"shape": {**about["shape"], "heads": 0}}, tensors),
         ({"shape": {"depth": 3}}, tensors),
         ({}, short),
+        ({}, {**tensors, "0.mean": torch.full_like(tensors["0.mean"], float("nan"))}),
+        ({}, {**tensors, "0.mean": tensors["0.mean"].to(torch.int32)}),
     ):
         save_file(kept, path, {key: json.dumps({**about, **changed})})
         with pytest.raises(InputError, match="does not hold the weights that it says"):
             load_model(path)
-    save_file(tensors, path, {key: "{"})
-    with pytest.raises(InputError, match="broken metadata"):
-        load_model(path)
+    lists = [json.dumps({**about, name: value}) for name in ("features", "left_out", "roles") for value in (None, 3)]
+    for broken in ("{", json.dumps(list(about)), *lists):
+        save_file(tensors, path, {key: broken})
+        with pytest.raises(InputError, match="broken metadata"):
+            load_model(path)
     path.write_bytes(path.read_bytes()[:-7])
     with pytest.raises(InputError, match="no safetensors file"):
         load_model(path)
