@@ -90,6 +90,8 @@ class Buttons:
         done = finished()
         good = done != before and last_name() == operator
         self.stage.check(f"{what} runs to its end", good, last_name())
+        self.view.area.tag_redraw()
+        yield self.stage.pause(0.5)
         if not good:
             yield from self.hands.shoot_screen(f"x_{operator}")
         return good
