@@ -32,6 +32,7 @@ from .bone_frames import (
 from .compared import drop_kept, keep
 from .influences import columns_of, rest_is_kept, slice_rows, strongest, turns_by, write_influences
 from .object_ref import ObjectRef, object_by_uid
+from .overlay import follow_weights
 from .rotation_nodes import add_rotation, find_rotation, frames_of
 from .single_user import own_mesh, sharers
 from .splat_object import is_splat_object, refuse_edit_mode
@@ -175,6 +176,8 @@ class NewWeights:
         else:
             keep(obj, *self._start, self._bones)
         mark_edited(obj, False)
+        if not carried:
+            follow_weights(obj)
 
     def _choose(self) -> Steps[None]:
         bones, columns = len(self._deform), np.array(self._columns)
@@ -262,6 +265,7 @@ def iter_update_rotation_weights(obj: bpy.types.Object) -> Steps[bool]:
     write_influences(obj, bone_order(frames), bones, index, value)
     if changed:
         mark_edited(obj, True)
+        follow_weights(obj)
     return True
 
 
