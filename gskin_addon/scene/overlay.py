@@ -23,7 +23,7 @@ from .influences import read_influences
 from .node_builder import get_input, has_input, set_input
 from .node_groups import find_display
 from .rotation_nodes import frames_of
-from .splat_object import is_splat_object
+from .splat_object import is_splat_object, refuse_edit_mode
 
 CLASSES = ()
 Array = NDArray[Any]
@@ -75,9 +75,10 @@ def show_moves_with(obj: bpy.types.Object, splats: Array) -> int:
     """Colour all splats by how alike they move with the splats of an index (M,) or mask (N,), in the mean of these; the
     number of those that share at least half of their weights.
 
-    The colours follow the weights from now on (`follow_weights`). Raises InputError where no armature moves the splats,
-    or none of those meant.
+    The colours follow the weights from now on (`follow_weights`). Raises InputError in Edit Mode, and where no armature
+    moves the splats, or none of those meant.
     """
+    refuse_edit_mode(obj)
     meant = np.zeros(len(obj.data.vertices), np.bool_)
     meant[splats] = True
     shared = _alike(obj, meant)

@@ -16,6 +16,7 @@ bpy = pytest.importorskip("bpy")
 import bmesh
 
 import gskin_addon
+from gskin_addon.core.errors import InputError
 from gskin_addon.core.rig.colors import weight_colors
 from gskin_addon.scene import fabric_view, names
 from gskin_addon.scene.attributes import read_attribute
@@ -23,7 +24,7 @@ from gskin_addon.scene.display_inputs import BY_SHADER, NATIVE
 from gskin_addon.scene.fabric import has_fabric, iter_make_fabric
 from gskin_addon.scene.node_builder import has_input
 from gskin_addon.scene.node_groups import add_display, find_display, get_display, set_display
-from gskin_addon.scene.overlay import is_of_before, set_overlay, show_stretch
+from gskin_addon.scene.overlay import is_of_before, set_overlay, show_moves_with, show_stretch
 from gskin_addon.scene.posing import posed_cloud
 from gskin_addon.scene.rotation_nodes import find_rotation
 from gskin_addon.scene.splat_object import create_splat_object
@@ -324,3 +325,11 @@ def test_where_the_shader_does_not_draw_edit_mode_is_left_to_the_fabric(scene):
     assert has_fabric(obj)
     mode("OBJECT")
     bpy.context.scene.gskin_draw_splats = True
+
+
+def test_colours_by_a_splat_are_refused_in_edit_mode(scene):
+    """Whoever goes there while the weights are read must not meet half of them."""
+    obj, _ = scene
+    mode("EDIT")
+    with pytest.raises(InputError, match="is in Edit Mode"):
+        show_moves_with(obj, np.array([1]))
