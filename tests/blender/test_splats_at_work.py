@@ -230,6 +230,7 @@ def test_many_marks_let_the_splats_shine_through():
     made = marks.lay_out([cage], np.eye(4), np.diag([1.0, 1.0, -1.0, 1.0]), (800, 600), LOOK)
     assert made.opacity == marks.FAINTEST
     assert 0 < len(made.start) <= marks.MOST
+    assert not made.rim.any()
 
 
 def test_weight_paint_shows_weights_on_the_fabric_unless_other_colours_are_chosen(scene):
