@@ -28,6 +28,7 @@ from .object_ref import object_by_uid
 from .probes import is_probed_rightly
 from .rotation_nodes import find_rotation, frames_of
 from .splat_object import is_splat_object
+from .stand_in import is_stand_in
 from .steps import Steps, run_for, run_to_end
 from .transforms import within_update
 from .weights import follows_foreign_frames, iter_update_rotation_weights, repoint_frames
@@ -127,6 +128,9 @@ def is_unsettled(obj: bpy.types.Object) -> bool:
 
 def iter_settle(obj: bpy.types.Object) -> Steps[None]:
     """`settle` in slices; goes on with what the timer began, which goes on with it again where this is given up."""
+    if is_stand_in(obj):  # what is edited is followed only when that ends
+        yield from iter_update_rotation_weights(obj)
+        return
     uid = obj.session_uid
     while is_unsettled(obj):  # again where it was changed meanwhile
         steps = _running.pop(uid, None)
