@@ -128,10 +128,10 @@ def test_a_click_finds_the_splat_that_is_seen(scene):
     base = read_attribute(obj.data, names.BASE)
     for wanted in (int(np.where(base[:, 3] >= 0.3, points[:, 2], -9).argmax()), 7):
         at = (points[wanted, :2] * 0.4 + 1) / 2 * (800, 600)
-        found = clicked_splat(obj, matrix, (*points[wanted, :2], 50.0), tuple(at), (800, 600))
+        found = clicked_splat(obj, matrix, tuple(at), (800, 600))
         assert points[found, 2] >= points[wanted, 2]
         assert np.linalg.norm((points[found, :2] - points[wanted, :2]) * 0.2 * (800, 600)) <= 10
-    assert clicked_splat(obj, matrix, (0, 0, 50.0), (5, 5), (800, 600)) is None
+    assert clicked_splat(obj, matrix, (5, 5), (800, 600)) is None
 
 
 # --- Try It
