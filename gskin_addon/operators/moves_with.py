@@ -8,7 +8,6 @@ from typing import Any
 
 import bpy
 import numpy as np
-from bpy_extras import view3d_utils
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
@@ -117,18 +116,15 @@ class GSKIN_OT_show_moves_with(Sliced, bpy.types.Operator):
                 if area.type == "VIEW_3D" and region.type == "WINDOW" and inside:
                     space: Any = area.spaces.active
                     camera = space.region_3d
-                    origin = view3d_utils.region_2d_to_origin_3d(region, camera, at)
                     size = region.width, region.height
-                    return clicked_splat(chosen_splats(context), camera.perspective_matrix, origin, at, size)
+                    return clicked_splat(chosen_splats(context), camera.perspective_matrix, at, size)
         return None
 
 
-def clicked_splat(
-    splats: bpy.types.Object, matrix: Any, origin: Any, at: tuple[float, float], size: tuple[int, int]
-) -> int | None:
+def clicked_splat(splats: bpy.types.Object, matrix: Any, at: tuple[float, float], size: tuple[int, int]) -> int | None:
     """The splat nearest to the eye among those within `NEAR` pixels of a place of the picture; None where none is.
 
-    matrix (4, 4): world to clip space; origin (3,): the eye; at: from the lower left; size: (width, height).
+    matrix (4, 4): world to clip space; at: from the lower left; size: (width, height).
     """
     points = posed_points(splats)
     m = np.array(matrix, np.float64)
@@ -141,8 +137,8 @@ def clicked_splat(
     near = np.flatnonzero((w > 0) & solid & (np.linalg.norm(pixel - np.array(at), axis=1) <= NEAR))
     if not len(near):
         return None
-    away = np.linalg.norm(points[near] - np.array(origin), axis=1)
-    return int(near[np.argmin(away)])
+    depth = (points[near] @ m[2, :3] + m[2, 3]) / w[near]  # grows with the way, whether rays are parallel or not
+    return int(near[np.argmin(depth)])
 
 
 CLASSES = (GSKIN_OT_show_moves_with,)

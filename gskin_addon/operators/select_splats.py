@@ -167,6 +167,8 @@ class GSKIN_OT_select_in_front(SelectSplats, bpy.types.Operator):
     """Of the selected splats keep those that the view shows: what lies behind others is left out. So a box or lasso
     drawn through the figure becomes one of its front side"""
 
+    leaves_edit_mode = True
+
     bl_idname = "gskin.select_in_front"
     bl_label = "Front Side Only"
 

@@ -26,8 +26,10 @@ from .anchor_nodes import find_anchor
 from .bone_frames import armature_of
 from .leftovers import clean, clean_later, fits
 from .object_ref import object_by_uid
+from .probes import is_probed_rightly
 from .rotation_nodes import find_rotation, frames_of
 from .splat_object import is_splat_object
+from .stand_in import is_stand_in
 from .steps import Steps, run_for, run_to_end
 from .transforms import within_update
 from .viewport import switch
@@ -132,6 +134,9 @@ def is_unsettled(obj: bpy.types.Object) -> bool:
 
 def iter_settle(obj: bpy.types.Object) -> Steps[None]:
     """`settle` in slices; goes on with what the timer began, which goes on with it again where this is given up."""
+    if is_stand_in(obj):  # what is edited is followed only when that ends
+        yield from iter_update_rotation_weights(obj)
+        return
     uid = obj.session_uid
     while is_unsettled(obj):  # again where it was changed meanwhile
         steps = _running.pop(uid, None)
@@ -231,6 +236,8 @@ def _look_at(obj: bpy.types.Object, *, touched: bool) -> None:
         _ask_again(uid)
     elif uid not in _running and follows_foreign_frames(obj):
         _guarded(_repair, obj)
+    elif uid not in _running and not is_probed_rightly(obj):
+        _ask_again(uid)
 
 
 def _moves(obj: bpy.types.Object, groups: tuple[str, ...]) -> list[str]:

@@ -128,10 +128,10 @@ def test_a_click_finds_the_splat_that_is_seen(scene):
     base = read_attribute(obj.data, names.BASE)
     for wanted in (int(np.where(base[:, 3] >= 0.3, points[:, 2], -9).argmax()), 7):
         at = (points[wanted, :2] * 0.4 + 1) / 2 * (800, 600)
-        found = clicked_splat(obj, matrix, (*points[wanted, :2], 50.0), tuple(at), (800, 600))
+        found = clicked_splat(obj, matrix, tuple(at), (800, 600))
         assert points[found, 2] >= points[wanted, 2]
         assert np.linalg.norm((points[found, :2] - points[wanted, :2]) * 0.2 * (800, 600)) <= 10
-    assert clicked_splat(obj, matrix, (0, 0, 50.0), (5, 5), (800, 600)) is None
+    assert clicked_splat(obj, matrix, (5, 5), (800, 600)) is None
 
 
 # --- Try It
@@ -200,6 +200,19 @@ def test_ranges_come_from_limits_and_what_holds_bones_is_let_go(scene):
     assert state(armature) == before
     bones["bone2"].use_ik_limit_z = bones["bone2"].lock_ik_x = False
     assert all(r[2:] == (-WIDEST, WIDEST) for s in Trial(obj).swings for r in s.bones if r[0] == "bone2")
+
+
+def test_bones_that_constraints_hold_are_tried_though_their_channels_are_locked(scene):
+    """So are all deform bones of Rigify."""
+    obj, armature = scene
+    bone = armature.pose.bones["bone2"]
+    bone.lock_rotation = (True, True, True)
+    assert not any(name == "bone2" for swing in Trial(obj).swings for name, *_ in swing.bones)
+    bone.constraints.new("COPY_ROTATION").target = armature
+    bone.constraints[0].subtarget = "bone0"
+    tried = Trial(obj)
+    assert {axis for swing in tried.swings for name, axis, *_ in swing.bones if name == "bone2"} == {0, 2}
+    bone.lock_rotation = (False, False, False)
 
 
 def test_played_in_time_with_every_end_and_stopped_at_any_moment(scene):

@@ -16,9 +16,10 @@ from patience import wait_until
 from gskin_addon.core.job.contract import read_job
 from gskin_addon.core.job.scope import read_scope
 from gskin_addon.scene import names
+from gskin_addon.scene.compared import is_edited
 from gskin_addon.scene.seams import read_seams
 from gskin_addon.scene.splat_object import create_splat_object
-from gskin_addon.scene.weights import is_edited, read_weights, write_weights
+from gskin_addon.scene.weights import read_weights, write_weights
 from gskin_addon.session import skin_job
 
 CHAIN = [(f"bone {i}", (0, 0, 0.25 * i), (0, 0, 0.25 * (i + 1))) for i in range(4)]

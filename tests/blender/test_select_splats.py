@@ -271,7 +271,7 @@ def test_the_graph_of_the_first_click_is_made_beside_blender(splats, window, mon
     assert click.invoke(window, None) == {"RUNNING_MODAL"}
     assert not threads, "the click itself returns at once"
     while (answer := click.modal(window, TIMER)) == {"RUNNING_MODAL"}:
-        assert splats.mode == "OBJECT"
+        assert splats.mode == "EDIT", "leaving it and coming back would draw all splats twice"
     assert answer == {"FINISHED"}
     assert threads
     assert threading.main_thread() not in threads
@@ -295,8 +295,43 @@ def test_done_again_from_the_panel_it_is_done_at_once(splats, window):
 def test_escape_leaves_mode_and_selection(splats, window):
     click = Click()
     click.invoke(window, None)
+    objects, meshes = len(bpy.data.objects), len(bpy.data.meshes)
     click.modal(window, TIMER)
-    assert splats.mode == "OBJECT"
+    assert splats.mode == "EDIT"
+    assert len(bpy.data.objects) == objects + 1, "a copy is read"
     assert click.modal(window, ESCAPE) == {"CANCELLED"}
     assert splats.mode == "EDIT"
+    assert (len(bpy.data.objects), len(bpy.data.meshes)) == (objects, meshes)
     np.testing.assert_array_equal(selected(splats), np.arange(COUNT) == 7)
+
+
+@pytest.mark.parametrize("how", ["hidden", "excluded"])
+def test_what_cannot_be_seen_is_not_selected_in(splats, how):
+    """Blender has no Edit Mode for it; a sentence says so instead of a fault."""
+    scene, shelf = bpy.context.scene, bpy.data.collections.new("Shelf")
+    homes = list(splats.users_collection)
+    scene.collection.children.link(shelf)
+    scene.gskin.splats = splats
+    write_seams(splats, np.arange(COUNT) % 3)
+    if how == "hidden":
+        splats.hide_set(True)
+    else:
+        shelf.objects.link(splats)
+        for home in homes:
+            home.objects.unlink(splats)
+        bpy.context.view_layer.layer_collection.children["Shelf"].exclude = True
+    try:
+        for click in ("select_by_bone", "select_unsure_splats", "next_unsure_cluster", "select_seams"):
+            options = {"bone": read_weights(splats)[1][0]} if click == "select_by_bone" else {}
+            with pytest.raises(RuntimeError, match=r"Error: 'S' is (hidden|in a collection that is excluded)"):
+                getattr(bpy.ops.gskin, click)(**options)
+    finally:
+        write_seams(splats, None)
+        scene.gskin.splats = None
+        if how == "excluded":
+            for home in homes:
+                home.objects.link(splats)
+        bpy.data.collections.remove(shelf)
+        splats.hide_set(False)
+        bpy.context.view_layer.objects.active = splats
+        splats.select_set(True)

@@ -17,6 +17,8 @@ MOMENTS = (0.04, 0.15)
 """Seconds that Blender is given at each place to notice the mouse; the longer where it was too busy."""
 ASIDE = (0, -16, 16, -8, 8)
 """Pixels above and below where a button was noticed, at which it may be: Blender may have noticed it late."""
+STEADY = 4
+"""Times that a button may have moved before it is clicked."""
 
 Place = tuple[int, int]
 
@@ -43,10 +45,25 @@ class Buttons:
         yield 0.5
 
     def find(self, name: str) -> Generator[Wait, None, Place | None]:
-        """Where the button of an operator, or the field of a property by its name, is now; None where it is not."""
+        """Where the button of an operator, or the field of a property by its name, is and stays; None where it is
+        not."""
+        self.view.region("UI").tag_redraw()
+        yield self.stage.pause(0.5)
+        for _ in range(STEADY):
+            place = yield from self._find(name)
+            if place is None:
+                return None
+            # What was done last may still change the panel above.
+            yield self.stage.pause(0.5)
+            yield from self.hands.move(place[0] + 1, place[1])
+            if self.under_mouse() == name:
+                return place
+        return None
+
+    def _find(self, name: str) -> Generator[Wait, None, Place | None]:
         for moment in (0.0, *MOMENTS):
             if moment:
-                yield from self._search(moment)
+                yield from self._search(name, moment)
             x, y = self._known.get(name, (0, 0))
             for off in ASIDE if name in self._known else ():
                 yield from self.hands.move(x, y + off)
@@ -73,6 +90,8 @@ class Buttons:
         done = finished()
         good = done != before and last_name() == operator
         self.stage.check(f"{what} runs to its end", good, last_name())
+        if not good:
+            yield from self.hands.shoot_screen(f"x_{operator}")
         return good
 
     def under_mouse(self) -> str:
@@ -87,21 +106,23 @@ class Buttons:
                 bpy.ops.ui.copy_data_path_button()
         return manager.clipboard
 
-    def _search(self, moment: float) -> Generator[Wait, None, None]:
-        """Move the mouse over the whole side bar, scrolled to its end."""
+    def _search(self, name: str, moment: float) -> Generator[Wait, None, None]:
+        """Move the mouse up the side bar, scrolled to its end, until a button is met."""
         self._known.clear()
         window, region = self.view.window, self.view.region("UI")
         yield from self.hands.move(region.x + region.width // 2, self.view.middle()[1])
         yield from self.hands.wheel(25)
         yield 0.5
-        for y in range(window.height - region.y - region.height + 40, window.height - region.y - 5, ROW):
+        for y in range(window.height - region.y - 8, window.height - region.y - region.height + 40, -ROW):
             for share in COLUMNS:
                 x = region.x + round(share * region.width)
                 window.cursor_warp(x, window.height - y)
                 yield moment
-                name = self.under_mouse()
-                if name:
-                    self._known.setdefault(name, (x, y))
+                found = self.under_mouse()
+                if found:
+                    self._known.setdefault(found, (x, y))
+            if name in self._known:
+                return
 
 
 _hidden: dict[str, type] = {}

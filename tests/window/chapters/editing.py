@@ -11,8 +11,8 @@ from stage import Story
 
 from .desk import Desk, near
 
-BONE, LOCKED = "forearm.L", "upper_arm.L"
-"""The active bone, at whose joint splats are selected, and the bone above it, whose group is locked."""
+BONE, LOCKED = "upper_arm.L", "chest"
+"""The active bone, at whose joint splats are selected, and one near to it, whose group is locked."""
 TOOLS = (("Smooth", "gskin.smooth_weights"), ("Sharpen", "gskin.sharpen_weights"), ("Flood", "gskin.flood_weights"),
          ("Follow Neighbours", "gskin.follow_neighbours"), ("To Bone", "gskin.assign_to_bone"))  # fmt: skip
 SAMPLE = 300
@@ -20,19 +20,19 @@ SAMPLE = 300
 
 
 def editing(desk: Desk) -> Story:
-    """Splats at the elbow, one tool after the other."""
+    """Splats at the shoulder, one tool after the other."""
     stage = desk.stage
     stage.chapter = "edit"
     choose(desk.view, desk.splats, desk.rig)
     desk.look()
     desk.choose(BONE)
-    part("scene.posing").turn_bones(desk.rig, {"forearm.R": (0, 0, 30), BONE: (0, -25, 0)})
+    part("scene.posing").turn_bones(desk.rig, {"forearm.R": (0, 0, 30), BONE: (0, -15, 0)})
     desk.splats.vertex_groups[LOCKED].lock_weight = True
     yield from desk.buttons.show("weights")
     yield from desk.tab("EDIT")
     yield from desk.box(desk.rig.matrix_world @ desk.rig.pose.bones[BONE].head, 30, 30)
     selected = desk.selected()
-    stage.check("a box selects splats at the elbow", 50 < selected.sum() < len(selected) / 4, f"{selected.sum():,}")
+    stage.check("a box selects splats at the shoulder", 50 < selected.sum() < len(selected) / 4, f"{selected.sum():,}")
     yield from desk.hands.shoot("w40_box")
     around = Around(desk, selected)
     for name, operator in TOOLS:
@@ -53,7 +53,7 @@ def editing(desk: Desk) -> Story:
 
 
 def mirror(desk: Desk) -> Story:
-    """The right side gets the weights of the left one, with what was just done to its elbow."""
+    """The right side gets the weights of the left one, with what was just done to its shoulder."""
     stage, splats = desk.stage, desk.splats
     splats.vertex_groups[LOCKED].lock_weight = False
     before, points = desk.weights(), desk.points()
@@ -63,7 +63,7 @@ def mirror(desk: Desk) -> Story:
     stage.check("Mirror changes splats", (after != before).any(), f"{(after != before).any(axis=1).sum():,}")
     stage.check("Mirror: the mode stays", splats.mode == "OBJECT")
     check_sums(desk, "Mirror", before, after)
-    arm = [desk.column(f"{name}.R") for name in ("forearm", "hand")]
+    arm = [desk.column(f"{name}.R") for name in ("upper_arm", "forearm", "hand")]
     right = np.flatnonzero((points[:, 0] < -0.15) & (after[:, arm].sum(axis=1) > 0.2))[:: max(1, len(points) // 20_000)]
     right = right[:SAMPLE]
     partner = near(points[right] * [-1, 1, 1], points)
@@ -105,7 +105,8 @@ def meant(
     """What a tool is for."""
     stage, locked = desk.stage, desk.column(LOCKED)
     if name in ("Smooth", "Follow Neighbours"):
-        gaps = around.gap(before), around.gap(after)
+        measure = around.rough if name == "Smooth" else around.gap
+        gaps = measure(before), measure(after)
         stage.check(f"{name}: more like those around", gaps[1] < gaps[0], f"{gaps[0]:.3f} apart, now {gaps[1]:.3f}")
     elif name == "Sharpen":
         changed = (after != before).any(axis=1)
@@ -127,16 +128,22 @@ def there_and_back(desk: Desk, what: str, before: np.ndarray, after: np.ndarray)
 
 
 class Around:
-    """Selected splats and those not selected that each is nearest to."""
+    """Selected splats, those not selected that each is nearest to, and the nearest of all."""
 
     def __init__(self, desk: Desk, selected: np.ndarray) -> None:
         points, others = desk.points(), np.flatnonzero(~selected)
         inside = np.flatnonzero(selected)
         self.inside = inside[:: max(1, len(inside) // SAMPLE)]
         self.outside = others[near(points[self.inside], points[others])]
+        away = [np.linalg.norm(points - points[one], axis=1) for one in self.inside]
+        self.beside = np.array([np.argpartition(one, 9)[:9] for one in away])
+
+    def rough(self, weights: np.ndarray) -> float:
+        """How far the weights are from the mean of those beside in the mean, 0 to 2."""
+        return float(np.abs(weights[self.inside] - weights[self.beside].mean(axis=1)).sum(axis=1).mean())
 
     def gap(self, weights: np.ndarray) -> float:
-        """How far apart the weights of both are in the mean, 0 to 2."""
+        """How far apart the weights inside and outside are in the mean, 0 to 2."""
         return float(np.abs(weights[self.inside] - weights[self.outside]).sum(axis=1).mean())
 
 

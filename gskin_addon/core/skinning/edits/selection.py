@@ -118,7 +118,9 @@ def in_front(points: Array, view: ArrayLike, projection: ArrayLike, size: float)
     eye = np.asarray(points, np.float64) @ V[:3, :3].T + V[:3, 3]
     clip = eye @ P[:3, :3].T + P[:3, 3]
     w = eye @ P[3, :3] + P[3, 3]
-    rows = np.flatnonzero((w > 1e-9) & (eye[:, 2] < 0))
+    # With parallel rays there is no eye: Blender's views have their middle at depth 0, and half of what is seen before.
+    parallel = P[3, 3] != 0.0
+    rows = np.flatnonzero((w > 1e-9) & (parallel | (eye[:, 2] < 0)))
     out = np.zeros(len(eye), np.bool_)
     if not len(rows):
         return out

@@ -109,6 +109,9 @@ def test_in_front_of_a_sphere():
         seen = in_front(points, view, lens, 0.06)
         assert seen[points[:, 2] > horizon + 0.15].mean() > 0.99
         assert seen[points[:, 2] < horizon - 0.2].mean() < 0.02, "but for the very rim"
+    # Blender's view with parallel rays has what it turns about at depth 0, not what lies before all.
+    seen = in_front(points, np.eye(4), orthographic, 0.06)
+    assert np.array_equal(seen, in_front(points, view, orthographic, 0.06))
     behind = view.copy()
     behind[2, 3] = 5.0
     assert not in_front(points, behind, perspective, 0.05).any()
