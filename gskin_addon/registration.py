@@ -51,6 +51,7 @@ from .operators import (
     sharpen_weights,
     smooth_weights,
     standard_view,
+    test_poses,
     transfer_weights,
     try_it,
 )
@@ -112,6 +113,7 @@ MODULES = (
     select_splats,
     moves_with,
     try_it,
+    test_poses,
     smooth_weights,
     sharpen_weights,
     follow_neighbours,

@@ -9,7 +9,6 @@ not run here join by `--method-weights NAME=FOLDER` (docs/benchmark-protocol.md)
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 from pathlib import Path
@@ -24,7 +23,7 @@ from benchmarks.quality.work import Task, order_methods
 from gskin_addon.core.errors import InputError
 
 from .rows import Table, tables
-from .text import table_text, tuning_text
+from .text import read_facts, table_text, tuning_text
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -40,7 +39,7 @@ def main() -> int:
         given = from_file.register(options.method_weights)
         entries = chosen_entries(options.assets, options.sample)
         wanted = _chosen(tables(options.guidance, options.preset, given), options.tables)
-        facts = json.loads(options.fine_tuned.read_text(encoding="utf-8")) if options.fine_tuned else None
+        facts = read_facts(options.fine_tuned) if options.fine_tuned else None
     except (InputError, OSError, ValueError) as error:
         print(error, file=sys.stderr)
         return 2

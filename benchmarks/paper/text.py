@@ -4,16 +4,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.quality.results import FAILED, OK, PARTLY, Result
+from gskin_addon.core.errors import InputError
+from gskin_addon.core.guidance.lightning_drag.files import read_table
 
 from .rows import Row, Table
 
 Known = Mapping[tuple[str, str, str], Result]
 """(asset, method, case) -> result."""
+
+
+_SCORES = {"psnr": 2, "ssim": 3, "lpips": 4, "raw_psnr": 2}
+"""Of guidance images, with their digits."""
 
 
 def table_text(table: Table, assets: Iterable[str], known: Known) -> str:
@@ -35,6 +42,17 @@ def table_text(table: Table, assets: Iterable[str], known: Known) -> str:
     return "\n".join(lines)
 
 
+def read_facts(path: Path) -> dict[str, Any]:
+    """A fine_tuned.json, whose scores are numbers. Raises InputError."""
+    facts = read_table(path)
+    scores = facts.get("validation") or {}
+    sound = isinstance(scores, dict) and all(isinstance(scores.get(when, {}), dict) for when in ("before", "after"))
+    values = [scores.get(when, {}).get(name) for when in ("before", "after") for name in _SCORES] if sound else [""]
+    if not all(value is None or type(value) in (int, float) for value in values):
+        raise InputError(f"'{path}' has a validation that is no table of scores; give the file that tune wrote.")
+    return facts
+
+
 def tuning_text(facts: Mapping[str, Any] | None) -> str:
     """The table of guidance images before and after fine-tuning; facts: of fine_tuned.json."""
     lines = ["#### Fine-tuning of the generator (guidance images)", ""]
@@ -49,7 +67,7 @@ def tuning_text(facts: Mapping[str, Any] | None) -> str:
     papers = {"before": "18.88 / 0.892 / 0.1328", "after": "26.78 / 0.966 / 0.0342"}
     for when, title in (("before", "without fine-tuning"), ("after", "fine-tuned")):
         cells = [_number(scores[when].get(name), digits) for name, digits in
-                 (("psnr", 2), ("ssim", 3), ("lpips", 4), ("raw_psnr", 2))]  # fmt: skip
+                 _SCORES.items()]  # fmt: skip
         lines.append(f"| {title} | {' | '.join(cells)} | {papers[when]} |")
     return "\n".join(lines)
 

@@ -54,11 +54,12 @@ def read_results(path: Path) -> dict[str, Any]:
     """A results file, checked.
 
     Raises:
-        InputError: missing, no such file, another version, a score that is missing or no finite number.
+        InputError: missing, no such file, another version, an asset that comes twice, a score that is missing or no
+            finite number, a mean that is not that of the assets.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"'{path}' cannot be read ({error}); give a results file.") from None
     fault = _fault(document)
     if fault:
@@ -69,18 +70,24 @@ def read_results(path: Path) -> dict[str, Any]:
 def _fault(document: Any) -> str:
     if not isinstance(document, dict) or document.get("schema") != SCHEMA:
         return f"its schema is not '{SCHEMA}'"
-    if document.get("version") != VERSION:
+    if type(document.get("version")) is not int or document["version"] != VERSION:
         return f"it has version {document.get('version')!r}"
     if not isinstance(document.get("method"), str) or not document["method"]:
         return "it names no method"
     protocol = document.get("protocol")
     if not isinstance(protocol, dict) or not {"key", "judge"} <= set(protocol):
         return "its protocol has no key and judge"
+    if not isinstance(document.get("missing"), dict):
+        return "it has no table of what is missing"
     entries = document.get("assets")
     if not isinstance(entries, list):
         return "it has no list of assets"
     for entry in entries:
-        if not isinstance(entry, dict) or not isinstance(entry.get("score"), dict) or "asset" not in entry:
+        if (
+            not isinstance(entry, dict)
+            or not isinstance(entry.get("score"), dict)
+            or not isinstance(entry.get("asset"), str)
+        ):
             return "an asset has no score"
         if entry.get("status") not in (OK, PARTLY, FAILED):
             return f"'{entry['asset']}' has the status {entry.get('status')!r}"
@@ -90,6 +97,26 @@ def _fault(document: Any) -> str:
                 continue
             if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
                 return f"'{entry['asset']}' has the {name} {value!r}"
+    names = [entry["asset"] for entry in entries]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        return f"'{twice}' comes twice"
+    return _wrong_mean(document.get("mean"), [entry["score"] for entry in entries])
+
+
+def _wrong_mean(mean: Any, scores: Sequence[Mapping[str, Any]]) -> str:
+    """What is wrong with the means, which are those of the assets."""
+    if not isinstance(mean, dict):
+        return "it has no means"
+    for name in SCORES:
+        wanted, given = _mean([score.get(name) for score in scores]), mean.get(name)
+        if wanted is None or given is None:
+            agrees = wanted is given
+        else:
+            number = isinstance(given, int | float) and not isinstance(given, bool)
+            agrees = number and math.isclose(given, wanted, rel_tol=1e-6, abs_tol=1e-9)
+        if not agrees:
+            return f"its mean {name} is {given!r}, that of its assets {wanted!r}"
     return ""
 
 

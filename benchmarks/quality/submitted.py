@@ -25,6 +25,9 @@ from gskin_addon.core.rig.nearest import nearest_triangles
 SUFFIXES = (".npz", ".txt")
 SUM_TOLERANCE = 1e-3
 
+FARTHEST = 0.05
+"""Median distance of the splats to a mesh, in their diagonal, beyond which it is not in their place."""
+
 
 @dataclass(frozen=True)
 class Submitted:
@@ -78,6 +81,7 @@ def read_submitted(folder: Path, asset: RiggedSplats) -> Submitted:
         if len(weights) != len(verts):
             raise InputError(f"'{path}' has {len(weights):,} rows, '{mesh}' {len(verts):,} vertices; they must agree.")
         face, bary = nearest_triangles(asset.cloud.means, verts[faces])
+        _check_place(mesh, asset.cloud.means, np.einsum("nk,nkd->nd", bary, verts[faces[face]]))
         weights = np.einsum("nk,nkb->nb", bary, weights[faces[face]])
     elif len(weights) != count:
         raise InputError(
@@ -86,6 +90,18 @@ def read_submitted(folder: Path, asset: RiggedSplats) -> Submitted:
         )
     weights = weights / weights.sum(axis=1, keepdims=True)
     return Submitted(weights.astype(np.float32), digest_of(folder, asset.name), mesh.is_file())
+
+
+def _check_place(mesh: Path, means: NDArray[Any], nearest: NDArray[Any]) -> None:
+    """Raise InputError where the places on the mesh nearest to the splats (N, 3), (N, 3) are not theirs: it has other
+    axes, another unit, or was brought to a unit cube."""
+    distance = float(np.median(np.linalg.norm(means - nearest, axis=1)))
+    size = float(np.linalg.norm(np.ptp(means, axis=0)))
+    if distance > FARTHEST * size:
+        raise InputError(
+            f"'{mesh}' does not lie where the splats are: half of them are more than {distance / size:.0%} of their "
+            "size away; write it with y up, in the place and size of proxy.obj."
+        )
 
 
 def _read(path: Path, bones: tuple[str, ...]) -> tuple[NDArray[Any], list[str]]:

@@ -129,4 +129,6 @@ def _bring(path: Path, cloud: SplatCloud, splats: bpy.types.Object | None) -> Sk
         print_message(f"'{path}': {placing.plain} ({placing.scale:.4g} of its size).")
     if placing.unsure:
         print_message(f"Warning: '{path}' does not lie well in the splats; check its size, axes and place.")
+    elif placing.either_way:
+        print_message(f"Warning: '{path}' would fit as well turned about; check that its front is the body's.")
     return skeleton

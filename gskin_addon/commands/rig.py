@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
 from ..core.files import replaced
+from ..core.guidance import BENCHMARK_ONLY
 from ..core.guidance.options import PROVIDER_OPTIONS, check_models, with_absolute_folders
 from ..core.job.contract import WEIGHTS
 from ..core.job.mesh_files import read_mesh
@@ -30,7 +31,7 @@ from ..core.splats.cloud import SplatCloud
 from ..core.worker.own_python import job_python
 from .blender import require_bpy
 from .console import print_message
-from .job_settings import job_settings, parse_options
+from .job_settings import job_settings, parse_options, warning_of_no_guidance
 from .paths import check_output, same_file
 from .rig_scale import fit_rig_scale
 from .selection import read_walls
@@ -107,9 +108,9 @@ def run(options: argparse.Namespace) -> None:
         print_message(f"Armature '{armature.name}' stands where the file has the splats, and was moved with them.")
     fit_rig_scale(splats, armature, options.rig_scale)
     proxy = None if mesh is None else create_mesh_object(options.mesh.stem, *mesh)
-    slow = warning_of_time(chosen, turned.count, skeleton.count)
-    if slow:
-        print_message(slow)
+    for warning in (warning_of_time(chosen, turned.count, skeleton.count), warning_of_no_guidance(options, chosen)):
+        if warning:
+            print_message(warning)
     # glTF knows no anchors: there the splats keep weights of their own, blended from the mesh's.
     anchored = options.out.suffix.lower() == ".blend"
     with _job_folder(options.job_dir) as folder, contextlib.closing(ProgressPrinter(options.progress)) as printer:
@@ -195,6 +196,11 @@ def guidance_options(options: argparse.Namespace) -> dict[str, Any]:
     if kinds is None:
         if options.allow_download:
             raise InputError(f"--allow-download is of no use: the guidance '{options.guidance}' fetches nothing.")
+        if values and options.guidance not in BENCHMARK_ONLY:
+            raise InputError(
+                f"The guidance '{options.guidance}' has no option '{next(iter(values))}', nor any other; leave it out, "
+                f"or choose the --guidance that it is for ({', '.join(PROVIDER_OPTIONS)})."
+            )
         return values
     texts = {pair.partition("=")[0]: pair.partition("=")[2] for pair in options.guidance_option}
     for name, text in texts.items():

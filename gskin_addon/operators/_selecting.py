@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
 import bpy
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..scene.cleanup import out_of_edit_mode
 from ..scene.selecting import active_splat, enter_edit_mode, hidden_now, mark_selected, selected_now
+from ..scene.stand_in import readable
 from ..scene.steps import Steps, part_of
 from ..session.chosen import chosen_splats
 from ._sliced import SlicedClick
@@ -28,7 +29,7 @@ WAYS = [
 
 class SelectSplats(SlicedClick):
     """Mixin of an operator: `find` says which splats, here they are selected. In Weight Paint with its vertex
-    selection, else in Edit Mode."""
+    selection, else in Edit Mode, which is not left where it is open."""
 
     bl_options = {"REGISTER", "UNDO"}
 
@@ -45,8 +46,8 @@ class SelectSplats(SlicedClick):
         return True
 
     def find(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Mask) -> Steps[Mask]:
-        """(N,) the splats that are meant, in slices. selected (N,): now. Raises InputError for options that cannot be
-        used."""
+        """(N,) the splats that are meant, in slices. selected (N,): now. In Edit Mode `splats` is a copy
+        (`stand_in.py`). Raises InputError for options that cannot be used."""
         raise NotImplementedError
 
     def words(self) -> str:
@@ -57,11 +58,11 @@ class SelectSplats(SlicedClick):
         splats = chosen_splats(context)
         mode = splats.mode
         self.active = active_splat(splats)
-        with nullcontext() if mode == "WEIGHT_PAINT" else out_of_edit_mode(context, splats):
-            yield 0.0  # Blender needs as long to leave Edit Mode as to enter it
-            before = selected_now(splats)
-            found = yield from part_of(self.find(context, splats, before), 0.0, 1.0)
-            after = combined(self.mode, before, found) & ~hidden_now(splats)
+        with at_hand(context, splats) as there:
+            yield 0.0
+            before = selected_now(there)
+            found = yield from part_of(self.find(context, there, before), 0.0, 1.0)
+            after = combined(self.mode, before, found) & ~hidden_now(there)
             yield 1.0
         if mode == "WEIGHT_PAINT":
             splats.data.use_paint_mask_vertex = True
@@ -70,6 +71,16 @@ class SelectSplats(SlicedClick):
             enter_edit_mode(context, splats, after)
         said = f"{after.sum():,} of {len(after):,} splats selected"
         return "; ".join(filter(None, (said, self.words())))
+
+
+def at_hand(context: bpy.types.Context, splats: bpy.types.Object) -> AbstractContextManager[bpy.types.Object]:
+    """A block in which the splats can be read: as they are, or where they are edited a copy (`stand_in.py`)."""
+    if splats.mode == "WEIGHT_PAINT":
+        return nullcontext(splats)
+    if splats.mode == "EDIT":
+        context.view_layer.objects.active = splats
+        return readable(splats)
+    return out_of_edit_mode(context, splats)
 
 
 def combined(way: str, before: Mask, found: Mask) -> Mask:

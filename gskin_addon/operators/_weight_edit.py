@@ -3,18 +3,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import bpy
 from numpy.typing import NDArray
 
-from ..core.errors import GSkinError, InputError
-from ..core.skinning.edits.body_graph import BodyGraph, body_graph
+from ..core.errors import InputError
 from ..scene.bone_frames import armature_of
-from ..scene.seams import read_seams
 from ..scene.single_user import said_of, sharers
-from ..scene.splat_object import read_cloud
+from ..scene.stand_in import readable
 from ..scene.steps import Steps
 from ..scene.weight_edits import Change, iter_edit_weights, selected_splats, shows_selection
 from ..session.chosen import chosen_splats
@@ -25,12 +22,18 @@ Array = NDArray[Any]
 
 class WeightEdit(SlicedClick):
     """Mixin of an operator: `changes` makes what works on the weights, here it is run, in slices where there is a
-    window, in the mode that the artist is in."""
+    window, in the mode that the artist is in.
+
+    Edit Mode is not left, which Blender needs long for, unless the operator needs that.
+    """
 
     bl_options = {"REGISTER", "UNDO"}
     cancelled = "Cancelled; no weights were changed"
     needs_selection = False
     """Whether it is for selected splats alone; else, where no selection is shown, for all."""
+
+    leaves_edit_mode = False
+    """Whether it changes more than weights."""
 
     _mode = ""
     _sharers: list[str] = []
@@ -45,7 +48,8 @@ class WeightEdit(SlicedClick):
         return True
 
     def changes(self, splats: bpy.types.Object, selected: Array | None) -> Change:
-        """The function from weights to weights. Reads Blender now, so that the function need not.
+        """The function from weights to weights. Reads Blender now, so that the function need not. In Edit Mode
+        `splats` is a copy (`stand_in.py`).
 
         Raises InputError: options that cannot be used.
         """
@@ -61,24 +65,25 @@ class WeightEdit(SlicedClick):
 
     def work(self, context: bpy.types.Context) -> Steps[int]:
         splats = chosen_splats(context)
-        try:
-            chosen = shows_selection(splats) or self.needs_selection
-            selected = selected_splats(splats) if chosen else None
+        self._sharers = sharers(splats)
+        chosen = shows_selection(splats) or self.needs_selection
+        if splats.mode == "EDIT" and (self.leaves_edit_mode or self._sharers):
+            self._mode = splats.mode
+            context.view_layer.objects.active = splats
+            bpy.ops.object.mode_set(mode="OBJECT")
+        with readable(splats) as there:
+            selected = selected_splats(there) if chosen else None
             if selected is not None and not selected.any():
-                raise InputError(f"No splats of '{splats.name}' are selected; select some in Edit Mode (Tab).")
-            self._mode, self._sharers = splats.mode, sharers(splats)
-            if splats.mode == "EDIT":
-                # Weights can only be read and written outside it.
-                context.view_layer.objects.active = splats
-                bpy.ops.object.mode_set(mode="OBJECT")
-            return self.steps(context, splats, selected)
-        except GSkinError:
-            self._restore(splats)
-            raise
+                raise InputError(f"No splats of '{there.name}' are selected; select some in Edit Mode (Tab).")
+            yield 0.0
+            return (yield from self.steps(context, splats, there, selected))
 
-    def steps(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Array | None) -> Steps[int]:
-        """The work in slices, of which only the last changes the scene; gives the number of splats changed."""
-        return iter_edit_weights(splats, self.changes(splats, selected), self.reached(splats, selected))
+    def steps(
+        self, context: bpy.types.Context, splats: bpy.types.Object, there: bpy.types.Object, selected: Array | None
+    ) -> Steps[int]:
+        """The work in slices, of which only the last changes the scene; gives the number of splats changed. `there`:
+        the splats, in Edit Mode their copy."""
+        return iter_edit_weights(splats, self.changes(there, selected), self.reached(there, selected), there=there)
 
     def reached(self, splats: bpy.types.Object, selected: Array | None) -> Array | None:
         """Splats (N,) bool that may change; None for all. `changes` may still mark some of them while it runs."""
@@ -99,12 +104,6 @@ class WeightEdit(SlicedClick):
         if self._mode == "EDIT" and splats.mode == "OBJECT":
             bpy.ops.object.mode_set(mode="EDIT")
         self._mode = ""
-
-
-def graph_of(splats: bpy.types.Object) -> Callable[[], BodyGraph]:
-    """A function that makes the graph of the body, in world space; reads Blender now."""
-    means, sides = read_cloud(splats).means, read_seams(splats)
-    return lambda: body_graph(means, walls=sides)
 
 
 def bone_column(splats: bpy.types.Object, name: str, bones: list[str]) -> int:

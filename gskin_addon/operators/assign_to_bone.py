@@ -10,8 +10,9 @@ import bpy
 from ..core.skinning.edits.assign import to_bone
 from ..scene.armature import deform_bone_names
 from ..scene.bone_frames import armature_of
+from ..scene.selecting import body_maker
 from ..scene.weight_edits import Change
-from ._weight_edit import WeightEdit, bone_column, graph_of, search_bones
+from ._weight_edit import WeightEdit, bone_column, search_bones
 
 
 class GSKIN_OT_assign_to_bone(WeightEdit, bpy.types.Operator):
@@ -36,7 +37,7 @@ class GSKIN_OT_assign_to_bone(WeightEdit, bpy.types.Operator):
 
     def changes(self, splats: bpy.types.Object, selected: Any) -> Change:
         column = bone_column(splats, self.bone, deform_bone_names(armature_of(splats)))
-        rim, graph = self.rim, graph_of(splats) if self.rim > 0 else None
+        rim, graph = self.rim, body_maker(splats) if self.rim > 0 else None
         return lambda weights: to_bone(
             weights, column, selected, rim=rim, graph=None if graph is None else graph()
         )

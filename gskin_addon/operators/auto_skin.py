@@ -18,10 +18,10 @@ from ..core.job.settings import JobSettings
 from ..scene.blender_splats import make_riggable
 from ..scene.bone_frames import armature_of
 from ..scene.cleanup import begin_selecting
+from ..scene.compared import compared, is_edited, is_kept_edited
 from ..scene.handlers import is_unsettled, iter_settle, settle
 from ..scene.steps import Steps, run_for
 from ..scene.weight_edits import selected_splats
-from ..scene.weights import is_edited
 from ..session import running_job, status_bar
 from ..session.chosen import chosen_armature, chosen_blender_splats, chosen_splats, panel_settings, proxy_mesh
 from ..session.preferences import job_python
@@ -242,7 +242,7 @@ class GSKIN_OT_auto_skin(SkinOperator, bpy.types.Operator):
 
     def _asks(self, splats: bpy.types.Object | None) -> bool:
         """Whether the other operator asks first, and starts this one again."""
-        asks = not self.confirmed and splats is not None and is_edited(splats)
+        asks = not self.confirmed and splats is not None and _has_hand_work(splats)
         if asks:
             _ours().auto_skin_again("INVOKE_DEFAULT")
         return asks
@@ -278,6 +278,9 @@ class GSKIN_OT_auto_skin_again(bpy.types.Operator):
         column = self.layout.column()
         column.prop(self, "which", expand=True)
         column.label(text="Locked vertex groups stay. Compare Weights brings back what was", icon="INFO")
+        splats = chosen_splats(context)
+        if splats is not None and is_edited(splats) and is_kept_edited(splats):
+            column.label(text="What was changed on the other side of Compare Weights is lost", icon="ERROR")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         selected = self.which == "SELECTED"
@@ -328,6 +331,13 @@ class GSKIN_OT_cancel_auto_skin(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         running_job.state.job.cancel()
         return {"FINISHED"}
+
+
+def _has_hand_work(splats: bpy.types.Object) -> bool:
+    """Whether new weights would take the place of hand work: of what is shown, or of a result that is only out of sight
+    while Compare Weights shows what was before it."""
+    now = compared(splats)
+    return is_edited(splats) or (is_kept_edited(splats) and now is not None and now[1] == "before")
 
 
 def _ours() -> Any:

@@ -13,12 +13,13 @@ from ..core.job.skinned_files import read_weights
 from ..scene.armature import deform_bone_names
 from ..scene.binding import bind, check_splats, iter_prepare
 from ..scene.fabric import iter_fabric, lay_under, strongest_of
+from ..scene.given_weights import iter_give_weights
 from ..scene.influences import splats_without_bones
 from ..scene.object_ref import ObjectRef
 from ..scene.single_user import own_mesh, said_of, sharers
 from ..scene.splat_object import splat_count
 from ..scene.steps import Steps, in_thread, part_of
-from ..scene.weights import iter_read_weights, iter_write_weights, update_rotation_weights
+from ..scene.weights import iter_read_weights, update_rotation_weights
 from ..session.chosen import chosen_armature, chosen_splats, panel_settings
 from ._sliced import Sliced, SlicedClick
 
@@ -61,7 +62,7 @@ class GSKIN_OT_load_weights(Sliced, bpy.types.Operator, ImportHelper):
         if paintable and len(result.weights) == splat_count(splats):
             bone = strongest_of(result.weights, result.bones, armature)
             fabric = yield from part_of(iter_fabric(splats, bone, armature), 0.0, 0.3)
-        writing = iter_write_weights(
+        writing = iter_give_weights(
             splats,
             armature,
             result.weights,
@@ -69,10 +70,10 @@ class GSKIN_OT_load_weights(Sliced, bpy.types.Operator, ImportHelper):
             max_influences=self.max_influences,
             confidence=result.confidence,
         )
-        yield from part_of(writing, 0.3, 1.0)
+        stayed = yield from part_of(writing, 0.3, 1.0)
         if fabric is not None:
             lay_under(splats, fabric)
-        words = f"{len(result.weights):,} splats follow {len(result.bones)} bones of '{name}'"
+        words = stayed or f"{len(result.weights):,} splats follow {len(result.bones)} bones of '{name}'"
         return f"{words}; {shared}" if shared else words
 
 

@@ -13,11 +13,10 @@ from ..core.errors import InputError
 from ..core.skinning.edits.selection import worst_clusters
 from ..scene import names
 from ..scene.attributes import read_attribute
-from ..scene.cleanup import out_of_edit_mode
 from ..scene.selecting import enter_edit_mode, iter_body_of
 from ..scene.steps import Steps, in_thread
 from ..session.chosen import chosen_splats
-from ._selecting import SelectSplats
+from ._selecting import SelectSplats, at_hand
 from ._sliced import SlicedClick
 
 Mask = NDArray[np.bool_]
@@ -93,10 +92,10 @@ class GSKIN_OT_next_unsure_cluster(SlicedClick, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> Steps[str]:
         splats = chosen_splats(context)
         uid = splats.data.session_uid
-        with out_of_edit_mode(context, splats):
+        with at_hand(context, splats) as there:
             yield 0.0
-            confidence = read_attribute(splats.data, names.CONFIDENCE)
-            graph, share = (yield from iter_body_of(splats)), self.worst / 100
+            confidence = read_attribute(there.data, names.CONFIDENCE)
+            graph, share = (yield from iter_body_of(there)), self.worst / 100
             clusters = yield from in_thread(lambda: worst_clusters(graph, confidence, share))
             if not clusters:
                 raise InputError(f"The least sure splats of '{splats.name}' form no groups; take a larger part.")

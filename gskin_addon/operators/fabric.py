@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..core.errors import GSkinError
 from ..scene.cleanup import begin_selecting
 from ..scene.fabric import has_fabric, iter_make_fabric, strip_fabric
 from ..scene.splat_object import is_splat_object
@@ -57,7 +58,11 @@ class GSKIN_OT_remove_fabric(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         splats = chosen_splats(context)
-        begin_selecting(context, splats)
+        try:
+            begin_selecting(context, splats)
+        except GSkinError as error:
+            self.report({"ERROR"}, error.plain)
+            return {"CANCELLED"}
         strip_fabric(splats.data)
         return {"FINISHED"}
 

@@ -77,8 +77,9 @@ class _Fit:
         armature = create_fitted_rig(found, f"{splats.name} Skeleton")
         for obj in context.selected_objects:
             obj.select_set(False)
-        splats.select_set(True)
-        armature.select_set(True)
+        for obj in (splats, armature):
+            if obj.name in context.view_layer.objects:  # in an excluded collection nothing can be selected
+                obj.select_set(True)
         context.view_layer.objects.active = armature
         settings = panel_settings(context)
         if settings.armature is not None:

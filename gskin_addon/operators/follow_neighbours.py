@@ -8,8 +8,9 @@ from typing import Any
 import bpy
 
 from ..core.skinning.edits.blend import follow_neighbours
+from ..scene.selecting import body_maker
 from ..scene.weight_edits import Change
-from ._weight_edit import WeightEdit, graph_of
+from ._weight_edit import WeightEdit
 
 
 class GSKIN_OT_follow_neighbours(WeightEdit, bpy.types.Operator):
@@ -22,7 +23,7 @@ class GSKIN_OT_follow_neighbours(WeightEdit, bpy.types.Operator):
     _alone = 0
 
     def changes(self, splats: bpy.types.Object, selected: Any) -> Change:
-        graph = graph_of(splats)
+        graph = body_maker(splats)
 
         def change(weights: Any) -> Any:
             after, alone = follow_neighbours(weights, graph(), selected)

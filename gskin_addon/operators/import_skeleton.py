@@ -49,7 +49,7 @@ class GSKIN_OT_import_skeleton(bpy.types.Operator, ImportHelper):
         for obj in context.selected_objects:
             obj.select_set(False)
         for obj in (splats, armature):
-            if obj is not None:
+            if obj is not None and obj.name in context.view_layer.objects:
                 obj.select_set(True)
         context.view_layer.objects.active = armature
         settings = panel_settings(context)
@@ -60,6 +60,8 @@ class GSKIN_OT_import_skeleton(bpy.types.Operator, ImportHelper):
             words += f", {placing.plain}"
         if placing is not None and placing.unsure:
             self.report({"WARNING"}, f"{words}; it does not lie well in '{splats.name}': check size, axes and place")
+        elif placing is not None and placing.either_way:
+            self.report({"WARNING"}, f"{words}; it would fit as well turned about: check that its front is the body's")
         else:
             self.report({"INFO"}, words)
         return {"FINISHED"}

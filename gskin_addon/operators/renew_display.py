@@ -9,6 +9,7 @@ from ..scene.bone_frames import armature_modifier
 from ..scene.display_inputs import BY_SHADER
 from ..scene.node_builder import has_input
 from ..scene.node_groups import find_display, renew_display
+from ..scene.probes import follow_stack
 from ..scene.render import prepare_scene
 from ..scene.rotation_nodes import add_rotation, frames_of
 from ..session.chosen import chosen_splats
@@ -34,6 +35,7 @@ class GSKIN_OT_renew_display(bpy.types.Operator):
         frames, armature = frames_of(splats), armature_modifier(splats)
         if frames is not None and armature is not None:
             add_rotation(splats, frames, armature)  # the present display needs what the present nodes keep
+            follow_stack(splats)
         return {"FINISHED"}
 
 

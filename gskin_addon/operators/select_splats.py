@@ -197,7 +197,9 @@ class GSKIN_OT_select_in_front(SelectSplats, bpy.types.Operator):
         graph = yield from iter_body_of(splats)
         size = max(self.depth, 0.5) * spacing(graph)
         view, lens = np.array(self.view).reshape(4, 4), np.array(self.lens).reshape(4, 4)
-        return in_front(posed_points(splats), view, lens, size)
+        yield 0.5
+        points = posed_points(chosen_splats(context))
+        return (yield from in_thread(lambda: in_front(points, view, lens, size)))
 
 
 def _region_view(context: bpy.types.Context) -> bpy.types.RegionView3D | None:

@@ -8,6 +8,7 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ..core.errors import GSkinError
 from ..core.skinning.edits.keep_apart import keep_apart
 from ..core.skinning.edits.separate import separate
 from ..scene import names
@@ -76,9 +77,11 @@ class GSKIN_OT_separate_parts(WeightEdit, bpy.types.Operator):
         """Known when it is done."""
         return self._reached
 
-    def steps(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Any) -> Steps[int]:
+    def steps(
+        self, context: bpy.types.Context, splats: bpy.types.Object, there: bpy.types.Object, selected: Any
+    ) -> Steps[int]:
         uid = splats.session_uid
-        count = yield from super().steps(context, splats, selected)
+        count = yield from super().steps(context, splats, there, selected)
         changed = object_by_uid(uid)
         if changed is not None:  # as it is: the last slice has just found it
             write_seams(changed, self._labels)
@@ -103,10 +106,14 @@ class GSKIN_OT_select_seams(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         splats = chosen_splats(context)
-        begin_selecting(context, splats)
-        labels = read_seams(splats)
-        marked = np.zeros(len(splats.data.vertices), np.bool_) if labels is None else labels != 0
-        show_selected(context, splats, marked)
+        try:
+            begin_selecting(context, splats)
+            labels = read_seams(splats)
+            marked = np.zeros(len(splats.data.vertices), np.bool_) if labels is None else labels != 0
+            show_selected(context, splats, marked)
+        except GSkinError as error:
+            self.report({"ERROR"}, error.plain)
+            return {"CANCELLED"}
         self.report({"INFO"}, f"{marked.sum():,} splats lie along seams")
         return {"FINISHED"}
 
@@ -125,7 +132,11 @@ class GSKIN_OT_clear_seams(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         splats = chosen_splats(context)
         mode, some = splats.mode, selected_splats(splats)
-        begin_selecting(context, splats)
+        try:
+            begin_selecting(context, splats)
+        except GSkinError as error:
+            self.report({"ERROR"}, error.plain)
+            return {"CANCELLED"}
         labels = read_seams(splats)
         if labels is not None:
             cleared = some if mode == "EDIT" else np.ones(len(labels), np.bool_)

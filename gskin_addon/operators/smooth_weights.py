@@ -8,8 +8,9 @@ from typing import Any
 import bpy
 
 from ..core.skinning.edits.blend import smooth
+from ..scene.selecting import body_maker
 from ..scene.weight_edits import Change
-from ._weight_edit import WeightEdit, graph_of
+from ._weight_edit import WeightEdit
 
 
 class GSKIN_OT_smooth_weights(WeightEdit, bpy.types.Operator):
@@ -24,7 +25,7 @@ class GSKIN_OT_smooth_weights(WeightEdit, bpy.types.Operator):
     repeat: bpy.props.IntProperty(name="Iterations", description="How many times", default=5, min=1, max=200)
 
     def changes(self, splats: bpy.types.Object, selected: Any) -> Change:
-        graph, factor, repeat = graph_of(splats), self.factor, self.repeat
+        graph, factor, repeat = body_maker(splats), self.factor, self.repeat
         return lambda weights: smooth(weights, graph(), selected=selected, factor=factor, repeat=repeat)
 
 

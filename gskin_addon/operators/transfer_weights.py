@@ -49,6 +49,8 @@ class _Transfer(WeightEdit):
         default=True,
     )
 
+    leaves_edit_mode = True
+
     fit: bpy.props.BoolProperty(
         name="Fit First",
         description="Bring the source onto the target first, by a small turn, move and scale, for this transfer alone. "
@@ -94,7 +96,9 @@ class GSKIN_OT_transfer_weights(_Transfer, bpy.types.Operator):
             return False
         return True
 
-    def steps(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Array | None) -> Steps[int]:
+    def steps(
+        self, context: bpy.types.Context, splats: bpy.types.Object, there: bpy.types.Object, selected: Array | None
+    ) -> Steps[int]:
         source = self._source(context, splats)
         armature = armature_of(splats) or source_armature(source) or chosen_armature(context)
         if armature is None:
@@ -141,7 +145,9 @@ class GSKIN_OT_transfer_weights_to_mesh(_Transfer, bpy.types.Operator):
             return False
         return True
 
-    def steps(self, context: bpy.types.Context, splats: bpy.types.Object, selected: Array | None) -> Steps[int]:
+    def steps(
+        self, context: bpy.types.Context, splats: bpy.types.Object, there: bpy.types.Object, selected: Array | None
+    ) -> Steps[int]:
         mesh = _mesh(context)
         chosen = selected_splats(mesh) if shows_selection(mesh) else None
         return self.counted(iter_transfer_to_mesh(splats, mesh, chosen, options=self.how()))

@@ -34,6 +34,15 @@ class GSKIN_OT_try_it(bpy.types.Operator):
     bl_label = "Try It"
     bl_options = {"REGISTER", "UNDO"}
 
+    poses: bpy.props.EnumProperty(
+        name="Poses",
+        description="What is played",
+        items=[
+            ("RANGE", "Range of Limbs", "Every limb from one end of its range to the other"),
+            ("LIBRARY", "Pose Library", "The pose assets of this rig in the file"),
+        ],
+        default="RANGE",
+    )
     beyond: bpy.props.FloatProperty(
         name="Marked From",
         description="Splats are marked whose way to a neighbour becomes so many times as long",
@@ -80,11 +89,12 @@ class GSKIN_OT_try_it(bpy.types.Operator):
         """All of it at once: without a window, and again with another number."""
         splats = chosen_splats(context)
         known = _last.get(splats.data.session_uid) if self.again else None
-        if known is not None and len(known.stretch) == len(splats.data.vertices):
+        library = self.poses == "LIBRARY"
+        if known is not None and known.library == library and len(known.stretch) == len(splats.data.vertices):
             self._trial = known
             return self._tell(context)
         try:
-            self._trial = Trial(splats, run_to_end(_prepare(splats)))
+            self._trial = Trial(splats, run_to_end(_prepare(splats)), library=library)
             for _ in self._trial.run():
                 pass
         except GSkinError as error:
@@ -128,7 +138,7 @@ class GSKIN_OT_try_it(bpy.types.Operator):
         except StopIteration as stop:
             self._making = None
             try:
-                self._trial = Trial(chosen_splats(context), stop.value)
+                self._trial = Trial(chosen_splats(context), stop.value, library=self.poses == "LIBRARY")
             except GSkinError as error:
                 return self._refuse(context, error)
             self._trial.begin()
@@ -169,8 +179,9 @@ class GSKIN_OT_try_it(bpy.types.Operator):
         words = f"{far.sum():,} of {len(far):,} splats stretch to more than {self.beyond:.1f} times"
         if far.sum() > marked.sum():
             words += f", the {marked.sum():,} worst to more than {float(trial.stretch[marked].min(initial=9e9)):.1f}"
-        bones = ", ".join(f"'{name}'" for name in trial.worst_bones(marked))
-        often = f"; most where {bones} turn" if bones else ""
+        worst = ", ".join(f"'{name}'" for name in trial.to_blame(marked))
+        often = f"; most in {worst}" if trial.library else f"; most where {worst} turn"
+        often = often if worst else ""
         self.report({"INFO"}, f"{words}{often}; Tab shows them selected" if marked.any() else words)
         _last.clear()
         _last[splats.data.session_uid] = trial

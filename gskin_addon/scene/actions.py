@@ -20,6 +20,8 @@ from ..core.errors import InputError
 
 _BONE = re.compile(r'^pose\.bones\["((?:[^"\\]|\\.)*)"\]')
 
+_PLACE = re.compile(r"^(delta_)?(location|scale|rotation_(euler|quaternion|axis_angle))$")
+
 
 @dataclass(frozen=True)
 class Part:
@@ -59,6 +61,17 @@ def bones_of(part: Part) -> set[str]:
     """Names of the bones that a part moves."""
     found = (_BONE.match(curve.data_path) for curve in curves_of(part))
     return {match.group(1).replace('\\"', '"').replace("\\\\", "\\") for match in found if match}
+
+
+def keys_place(obj: bpy.types.Object) -> bool:
+    """Whether an action, the NLA or drivers put the object where it is, whatever else moves its bones."""
+    data = obj.animation_data
+    if data is None:
+        return False
+    actions = {data.action, *(strip.action for track in data.nla_tracks for strip in track.strips)} - {None}
+    parts = [part for action in actions for part in parts_of(action) if obj in users_of(part)]
+    curves = [*(curve for part in parts for curve in curves_of(part)), *data.drivers]
+    return any(_PLACE.match(curve.data_path) for curve in curves)
 
 
 def users_of(part: Part) -> set[bpy.types.ID]:

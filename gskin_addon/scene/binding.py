@@ -11,6 +11,7 @@ from ..core.errors import InputError
 from . import names
 from .bone_frames import armature_modifier, ensure_bone_frames, has_bendy_bones
 from .node_groups import find_display
+from .probes import follow_stack
 from .rotation_nodes import add_rotation, rotation_steps
 from .splat_object import is_splat_object, refuse_edit_mode
 from .steps import Steps
@@ -25,6 +26,7 @@ def bind(obj: bpy.types.Object, armature: bpy.types.Object) -> bpy.types.Object:
     check_splats(obj)
     frames = ensure_bone_frames(armature)
     add_rotation(obj, frames, follow(obj, armature))
+    follow_stack(obj)
     return frames
 
 
@@ -48,8 +50,9 @@ def follow(
 
     Like Ctrl-P > Armature Deform, so that moving the armature object carries the mesh along.
     """
+    every: list[Any] = [modifier for modifier in obj.modifiers if modifier.type == "ARMATURE"]
+    modifier = next((m for m in every if m.object == armature), armature_modifier(obj))
     set_parent(obj, armature, keep_parent=keep_parent)
-    modifier = armature_modifier(obj)
     if modifier is None:
         new: Any = obj.modifiers.new(names.ARMATURE_MODIFIER, "ARMATURE")
         modifier = new

@@ -91,15 +91,20 @@ def bone_order(frames: bpy.types.Object) -> list[str]:
 
 
 def armature_of(obj: bpy.types.Object) -> bpy.types.Object | None:
-    """The armature of the object's first Armature modifier."""
+    """The armature of the object's `armature_modifier`."""
     modifier = armature_modifier(obj)
     return None if modifier is None else modifier.object
 
 
 def armature_modifier(obj: bpy.types.Object) -> bpy.types.ArmatureModifier | None:
-    """The object's first Armature modifier that has an armature, else its first one at all."""
+    """The object's Armature modifier that has an armature: of several that of its parent, else the first.
+
+    The first one at all where none has an armature.
+    """
     found: list[Any] = [modifier for modifier in obj.modifiers if modifier.type == "ARMATURE"]
-    return next((modifier for modifier in found if modifier.object is not None), found[0] if found else None)
+    live = [modifier for modifier in found if modifier.object is not None]
+    own = [modifier for modifier in live if modifier.object == obj.parent] if len(live) > 1 else []
+    return next(iter([*own, *live, *found]), None)
 
 
 def _create(armature: bpy.types.Object) -> bpy.types.Object:

@@ -11,6 +11,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.errors import InputError
 from ..core.splats.cleanup import clamp_aspect, find_faint_giants, find_needles, find_strays, isotropic
 from .attributes import ObjectData
 from .selecting import enter_edit_mode
@@ -38,19 +39,26 @@ def find_bad_splats(
 
 
 def begin_selecting(context: bpy.types.Context, obj: bpy.types.Object) -> None:
-    """Make `obj` active and leave Edit Mode, where its splats can neither be read nor selected."""
+    """Make `obj` active and leave Edit Mode, where its splats can neither be read nor selected.
+
+    Raises InputError: in a collection that is excluded, where Blender lets nobody do either.
+    """
+    if obj.name not in context.view_layer.objects:
+        raise InputError(f"'{obj.name}' is in a collection that is excluded; include it in the view layer.")
     context.view_layer.objects.active = obj
     if obj.mode != "OBJECT":
         bpy.ops.object.mode_set(mode="OBJECT")
 
 
 @contextmanager
-def out_of_edit_mode(context: bpy.types.Context, obj: bpy.types.Object) -> Iterator[None]:
-    """`begin_selecting`, and the mode of before again where the block is given up."""
+def out_of_edit_mode(context: bpy.types.Context, obj: bpy.types.Object) -> Iterator[bpy.types.Object]:
+    """`begin_selecting`, and the mode of before again where the block is given up. Gives the object. Raises InputError
+    as that does, and for a hidden object, whose splats nobody could see selected."""
+    _refuse_hidden(context, obj)
     mode = obj.mode
     begin_selecting(context, obj)
     try:
-        yield
+        yield obj
     except BaseException:  # also a generator that is closed
         if obj.mode != mode:
             bpy.ops.object.mode_set(mode=mode)
@@ -60,7 +68,13 @@ def out_of_edit_mode(context: bpy.types.Context, obj: bpy.types.Object) -> Itera
 def show_selected(context: bpy.types.Context, obj: bpy.types.Object, mask: Mask) -> None:
     """Select exactly the splats of `mask` (N,) of the active object and enter Edit Mode on its points."""
     refuse_edit_mode(obj)
+    _refuse_hidden(context, obj)
     enter_edit_mode(context, obj, mask)
+
+
+def _refuse_hidden(context: bpy.types.Context, obj: bpy.types.Object) -> None:
+    if not obj.visible_get(view_layer=context.view_layer):
+        raise InputError(f"'{obj.name}' is hidden, or in a collection that is; show it to select its splats.")
 
 
 def put_aside(obj: bpy.types.Object, mask: Mask) -> bpy.types.Object:

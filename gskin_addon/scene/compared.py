@@ -3,7 +3,7 @@
 
 The shown side is what the vertex groups of the armature's bones hold, whatever an artist paints on it. The other lies
 in attributes of the points, so that it travels with the file, with undo and with splats that are removed. Switching
-exchanges them, to the bit.
+exchanges them, to the bit, and with them whether somebody has changed them by hand.
 """
 
 from __future__ import annotations
@@ -40,26 +40,62 @@ def compared(obj: bpy.types.Object) -> tuple[str, Side] | None:
     return str(record["name"]), "before" if record["shown"] == "before" else "result"
 
 
-def keep(obj: bpy.types.Object, name: str, start: Influences, bones: Sequence[str]) -> None:
-    """Keep `start`, of the bones `bones`, as what was before the weights that `obj` has now."""
+def keep(
+    obj: bpy.types.Object, name: str, start: Influences, bones: Sequence[str], *, by_hand: bool = False
+) -> None:
+    """Keep `start`, of the bones `bones`, as what was before the weights that `obj` has now; by_hand: somebody has
+    changed them."""
     drop_kept(obj)
     _write_kept(obj.data, start.index, start.value)
-    obj.data[names.COMPARED] = {"name": name, "shown": "result", "bones": list(bones)}
+    obj.data[names.COMPARED] = {"name": name, "shown": "result", "bones": list(bones), "edited": by_hand}
+
+
+def mark_edited(obj: bpy.types.Object, edited: bool) -> None:
+    """Remember whether somebody changed the weights that are shown since a job or a file gave them."""
+    mark = obj.data[names.MARK]
+    if edited:
+        mark["edited"] = True
+    elif "edited" in mark:
+        del mark["edited"]
+
+
+def is_edited(obj: bpy.types.Object) -> bool:
+    """Whether somebody changed the weights that are shown since a job or a file gave them."""
+    return bool(obj.data[names.MARK].get("edited", False))
+
+
+def is_kept_edited(obj: bpy.types.Object) -> bool:
+    """Whether somebody changed the weights that are kept and not shown."""
+    return compared(obj) is not None and bool(obj.data[names.COMPARED].get("edited", False))
+
+
+def kept_as_it_is(obj: bpy.types.Object) -> tuple[Influences, list[str]]:
+    """The weights that are not shown, which are there, and the names of the bones that they number."""
+    return Influences(*_read_kept(obj.data)), [str(bone) for bone in obj.data[names.COMPARED]["bones"]]
+
+
+def kept_influences(obj: bpy.types.Object, bones: Sequence[str]) -> Influences:
+    """The weights that are not shown, which are there, by their places in `bones`.
+
+    Raises InputError: they are for bones that are not among `bones`.
+    """
+    found, kept = kept_as_it_is(obj)
+    place = {name: number for number, name in enumerate(bones)}
+    gone = [kept[bone] for bone in np.unique(found.index[found.value > 0]) if kept[bone] not in place]
+    if gone:
+        raise InputError(
+            f"The other weights of '{obj.name}' are for bone '{gone[0]}', which its armature has no more as a deform "
+            "bone; give it back its name, or run Auto-Skin again."
+        )
+    return Influences(np.array([place.get(name, 0) for name in kept], np.int32)[found.index], found.value)
 
 
 def kept_side(obj: bpy.types.Object, bones: Sequence[str]) -> Array | None:
-    """(N, B) float32: the weights that are not shown, for `bones`; None where nothing is kept."""
-    if compared(obj) is None:
-        return None
-    index, value = _read_kept(obj.data)
-    kept = [str(bone) for bone in obj.data[names.COMPARED]["bones"]]
-    dense = Influences(index, value).dense(len(kept))
-    place = {name: number for number, name in enumerate(kept)}
-    out = np.zeros((len(index), len(bones)), np.float32)
-    for column, bone in enumerate(bones):
-        if bone in place:
-            out[:, column] = dense[:, place[bone]]
-    return out
+    """(N, B) float32: the weights that are not shown, for `bones`; None where nothing is kept.
+
+    Raises InputError as `kept_influences` does.
+    """
+    return None if compared(obj) is None else kept_influences(obj, bones).dense(len(bones))
 
 
 def drop_kept(obj: bpy.types.Object) -> None:
@@ -82,28 +118,19 @@ def show_side(obj: bpy.types.Object, side: Side) -> None:
         raise InputError(f"'{obj.name}' has no weights to compare with; run Auto-Skin.")
     if now[1] == side:
         return
-    record = obj.data[names.COMPARED]
     deform = deform_bone_names(armature)
-    kept_bones = [str(bone) for bone in record["bones"]]
-    index, value = _read_kept(obj.data)
-    place = {name: number for number, name in enumerate(deform)}
-    used = np.unique(index[value > 0])
-    gone = [kept_bones[bone] for bone in used if kept_bones[bone] not in place]
-    if gone:
-        raise InputError(
-            f"The other weights of '{obj.name}' are for bone '{gone[0]}', which '{armature.name}' has no more as a "
-            "deform bone; give it back its name, or run Auto-Skin again."
-        )
-    index = np.array([place.get(name, 0) for name in kept_bones], dtype=np.int32)[index]
+    other = kept_influences(obj, deform)
+    by_hand, other_by_hand = is_edited(obj), is_kept_edited(obj)
     shown = run_to_end(iter_shown(obj, deform))
     state = group_state(obj)
     with GroupsAside(obj) as groups:
-        run_to_end(groups.write(deform, columns_of(index, value)))
+        run_to_end(groups.write(deform, columns_of(other.index, other.value)))
         obj = groups.commit()
     restore_group_state(obj, state)
-    _turn_by(obj, armature, deform, index, value)
+    _turn_by(obj, armature, deform, other.index, other.value)
     _write_kept(obj.data, shown.index, shown.value)
-    obj.data[names.COMPARED] = {"name": now[0], "shown": side, "bones": deform}
+    obj.data[names.COMPARED] = {"name": now[0], "shown": side, "bones": deform, "edited": by_hand}
+    mark_edited(obj, other_by_hand)
 
 
 def _turn_by(

@@ -20,8 +20,11 @@ from .dependencies import driver_targets, pointed_objects
 
 MISS = 0.3
 """Part of the asked angle by which a control may turn a bone otherwise, as twist that is spread over a limb does."""
-_TRIED = 32
-"""The most controls that are tried, the nearest first."""
+_TRIED, _NEAR = 32, 6
+"""The most controls that are tried, the nearest first: for the best one, and for one that is near."""
+
+_AT_JOINT = 0.05
+"""Part of a bone's length by which a control that sits at its joint may be off."""
 
 INNER = ("DEF-", "ORG-", "MCH-")
 """What rigs call bones that no artist is to touch."""
@@ -55,7 +58,7 @@ def find_control(
     chosen: tuple[float, Control] | None = None
     # What only shifts a part of a limb is no control of the bone.
     candidates = [name for name in controls(armature, bone) if "tweak" not in name][:_TRIED]
-    with _without_followers(armature):
+    with without_followers(armature):
         found = _best(armature, bone, candidates, turn, restore)
         if found is not None:
             chosen = found[0], Control(found[1])
@@ -66,6 +69,48 @@ def find_control(
             if found is not None and (chosen is None or found[0] < 0.7 * chosen[0]):
                 chosen = found[0], Control(found[1], owner, prop, value)
     return None if chosen is None else chosen[1]
+
+
+def near_control(
+    armature: bpy.types.Object, bone: str, turn: Callable[[str], None], restore: Callable[[], None]
+) -> Control | None:
+    """The first of the nearest controls that turns `bone` as asked, where every bone of a rig is looked at and the best
+    one (`find_control`) would take too long. turn, restore: as there, restore without an update; the rig must be in its
+    rest pose."""
+    bones = armature.data.bones
+    near = bones[bone].length * _AT_JOINT
+    found = [name for name in controls(armature, bone) if "tweak" not in name]
+    # What turns a bone about its joint mostly sits there.
+    at_joint = [name for name in found if (bones[name].head_local - bones[bone].head_local).length <= near]
+    candidates = (at_joint or found)[:_NEAR]
+    switch = switches(armature, [bone, *sources(armature, bone)])[:_NEAR]
+    own = armature.pose.bones[bone].matrix_basis.to_quaternion()
+    with without_followers(armature):
+        before = _matrix(armature, bone)
+        turn(bone)
+        asked = own.inverted() @ armature.pose.bones[bone].matrix_basis.to_quaternion()
+        restore()
+
+        def first() -> str | None:
+            for name in candidates:
+                turn(name)
+                after = _matrix(armature, bone)
+                restore()
+                stays = (after.translation - before.translation).length <= near  # the whole rig's root turns it, too
+                turned = _angle(before.to_quaternion() @ asked, after.to_quaternion())
+                if stays and turned <= MISS * max(asked.angle, 1e-6):
+                    return name
+            return None
+
+        name = first()
+        if name is not None:
+            return Control(name)
+        for owner, prop in switch:
+            with switched(armature, owner, prop) as value:
+                name = first()
+            if name is not None:
+                return Control(name, owner, prop, value)
+    return None
 
 
 def sources(armature: bpy.types.Object, bone: str) -> list[str]:
@@ -264,7 +309,7 @@ def _angle(a: mathutils.Quaternion, b: mathutils.Quaternion) -> float:
 
 
 @contextmanager
-def _without_followers(armature: bpy.types.Object) -> Iterator[None]:
+def without_followers(armature: bpy.types.Object) -> Iterator[None]:
     """Meshes that follow the armature are not deformed inside the block: trying is about bones, and quick so."""
     modifiers: list[Any] = [
         modifier

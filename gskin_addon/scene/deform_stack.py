@@ -21,6 +21,8 @@ from ..core.rig.covariance import transform_gaussians
 from ..core.rig.stretch import polar
 from . import names
 from .attributes import ObjectData, read_attribute, read_positions, write_positions
+from .modifier_stack import beyond_groups, blind, deforming_modifiers, is_blind
+from .probes import has_fitting_probes
 from .transforms import world_similarity
 
 Array = NDArray[Any]
@@ -33,15 +35,6 @@ NO_BENDS = "glTF has no bendy bones"
 
 _COPY_OF = "gskin_copy_of"
 
-_OURS = (names.ROTATION_MODIFIER, names.DISPLAY_MODIFIER, names.ANCHOR_MODIFIER)
-
-
-def deforming_modifiers(obj: bpy.types.Object) -> list[Any]:
-    """The object's modifiers, switched on in the viewport, that move the points before they are drawn."""
-    drawn = next((m for m in obj.modifiers if _is_ours(m, (names.DISPLAY_MODIFIER,))), None)
-    before = obj.modifiers if drawn is None else obj.modifiers[: obj.modifiers.find(drawn.name)]
-    return [modifier for modifier in before if modifier.show_viewport and not _is_ours(modifier)]
-
 
 def beyond_linear_blending(obj: bpy.types.Object) -> list[str]:
     """Why the splats are not moved by plain linear blend skinning with their vertex groups: reasons, none if they are.
@@ -50,7 +43,7 @@ def beyond_linear_blending(obj: bpy.types.Object) -> list[str]:
     """
     volume = [f"'{m.name}' preserves volume" for m in deforming_modifiers(obj) if _preserves_volume(m)]
     keys = ["shape keys move them"] if _has_moving_keys(obj) else []
-    return keys + volume + not_in_the_viewport(obj)
+    return keys + volume + beyond_groups(obj)
 
 
 def _has_moving_keys(obj: bpy.types.Object) -> bool:
@@ -64,34 +57,13 @@ def _has_moving_keys(obj: bpy.types.Object) -> bool:
 
 
 def not_in_the_viewport(obj: bpy.types.Object) -> list[str]:
-    """Of these reasons, those that the rotation nodes know nothing of: there splats go with them, but turn without.
+    """Of these reasons, those that the rotation nodes do not follow: there splats go along, but turn without.
 
-    What is blended as rotations (Preserve Volume) turns splats by Eq. 3, as the nodes do.
+    None where the splats have probes (`probes.py`) for the modifiers that they have now.
     """
-    found = []
-    stack = deforming_modifiers(obj)
-    for modifier in stack:
-        if modifier.type != "ARMATURE":
-            found.append(f"modifier '{modifier.name}' deforms them too")
-            continue
-        if modifier.object is None:
-            continue
-        if modifier.use_bone_envelopes:
-            found.append(f"'{modifier.name}' uses bone envelopes")
-        if not modifier.use_vertex_groups:
-            found.append(f"'{modifier.name}' does not use vertex groups")
-        if modifier.vertex_group and modifier.vertex_group in obj.vertex_groups:
-            found.append(f"'{modifier.name}' is masked by vertex group '{modifier.vertex_group}'")
-        groups = {group.name for group in obj.vertex_groups}
-        for bone in modifier.object.data.bones:
-            if bone.use_deform and bone.name in groups:
-                if bone.use_envelope_multiply:
-                    found.append(f"bone '{bone.name}' multiplies its weights by its envelope")
-                if bone.bbone_segments > 1 and getattr(bone, "bbone_mapping_mode", "STRAIGHT") != "STRAIGHT":
-                    found.append(f"bone '{bone.name}' has curved segments")
-    if sum(modifier.type == "ARMATURE" and modifier.object is not None for modifier in stack) > 1:
-        found.append("more than one armature moves them")
-    return found
+    if has_fitting_probes(obj):
+        return []
+    return beyond_groups(obj, [modifier for modifier in deforming_modifiers(obj) if not is_blind(modifier)])
 
 
 def shown_wrongly(obj: bpy.types.Object) -> list[str]:
@@ -107,6 +79,10 @@ def shown_wrongly(obj: bpy.types.Object) -> list[str]:
             f"Blender turns the splats of '{obj.name}' by vertex groups alone, in the 3D view and in Cycles, but "
             f"{'; '.join(reasons)}. Right are Render Splats, gskin render and the splats that gskin pose writes."
         )
+    found += [
+        f"Modifier '{name}' moves the splats of '{obj.name}' and turns none of them: it does not ask where they are."
+        for name in blind(obj)
+    ]
     return found
 
 
@@ -146,13 +122,16 @@ def _preserves_volume(modifier: Any) -> bool:
 def measured_deform(obj: bpy.types.Object) -> tuple[Array, Array]:
     """Where the modifiers put the splats, (N, 3), and the linear map around each, (N, 3, 3), in the object's space.
 
-    By central differences: seven evaluations. Raises InputError where a modifier changes the number of points.
+    By central differences: seven evaluations. Modifiers that do not ask where a point is move splats and have no part
+    in the maps. Raises InputError where a modifier changes the number of points.
     """
     with _deformed_copy(obj) as copy:
         points = read_positions(copy.data).astype(np.float64)
         step = STEP * float(np.ptp(points, axis=0).max()) or STEP
         maps = np.empty((len(points), 3, 3))
         moved = _evaluated(copy, points)
+        for modifier in [modifier for modifier in copy.modifiers if is_blind(modifier)]:
+            copy.modifiers.remove(modifier)
         for axis, offset in enumerate(np.eye(3) * step):
             # The differences of what 32 bits make of the displaced points.
             ends = [(points + sign * offset).astype(np.float32) for sign in (1, -1)]
@@ -172,11 +151,6 @@ def measured_splats(obj: bpy.types.Object) -> tuple[Array, Array, Array, Array]:
     turn = polar(maps)[0]
     found = [np.asarray(values, np.float32) for values in (moved, quats, sizes, turn)]
     return found[0], found[1], found[2], found[3]
-
-
-def _is_ours(modifier: Any, groups: tuple[str, ...] = _OURS) -> bool:
-    group = modifier.node_group if modifier.type == "NODES" else None
-    return group is not None and group.get("gskin_group") in groups
 
 
 @contextmanager

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""When the fabric under splats is seen: in Weight Paint and Edit Mode, in place of the display, and nowhere else."""
+"""When the fabric under splats is seen: in Weight Paint and Edit Mode, in place of the display, and nowhere else.
+
+Where the shader draws the splats there, too, the display stays: its bare points leave the cage to Blender.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,7 @@ from .fabric import has_fabric
 from .node_groups import find_display
 from .rotation_nodes import find_rotation, rest_in_edit_mode
 from .splat_object import is_splat_object
+from .viewport import switch
 
 CLASSES = ()
 
@@ -28,7 +32,7 @@ def apply_to(obj: bpy.types.Object) -> None:
     modifier = find_display(obj)
     if modifier is None or obj.library is not None:
         return
-    away = obj.mode in MODES and has_fabric(obj)
+    away = obj.mode in MODES and has_fabric(obj) and not switch.shall_draw(obj)
     if away and modifier.show_viewport:
         modifier.show_viewport, obj[_AWAY] = False, True
     elif not away and obj.get(_AWAY) is not None:
@@ -64,7 +68,7 @@ def look_at_file(*_: object) -> None:
     """What turns splats ran in Edit Mode, too, in files of older versions."""
     for obj in bpy.data.objects:
         rotation = find_rotation(obj) if is_splat_object(obj) and obj.library is None else None
-        if rotation is not None:
+        if rotation is not None and not switch.is_drawn(obj):
             rest_in_edit_mode(rotation)
     start_over()
 

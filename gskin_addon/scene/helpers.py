@@ -14,7 +14,7 @@ from . import names
 
 CLASSES = ()
 
-_MARKS = (names.FRAMES_MARK, names.ANCHOR_MARK, names.OCTAHEDRA_MARK)
+_MARKS = (names.FRAMES_MARK, names.ANCHOR_MARK, names.OCTAHEDRA_MARK, names.PROBE_MARK)
 
 
 def is_helper(obj: bpy.types.Object) -> bool:

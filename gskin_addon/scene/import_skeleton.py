@@ -8,15 +8,13 @@ import tempfile
 from pathlib import Path
 
 import bpy
-import mathutils
-import numpy as np
 
 from ..core.errors import InputError
 from ..core.skeleton.placing import Placing, guess_placing
 from ..core.skeleton.read import READERS, read_skeleton_file
 from .fitted_rig import create_armature
 from .rig_files import ARMATURE_SUFFIXES, import_armature
-from .rig_fit import rest_skeleton, sample_splats, to_world, topmost
+from .rig_fit import place_rig, rest_skeleton, sample_splats, to_world
 
 SUFFIXES = (*READERS, *ARMATURE_SUFFIXES, ".vrm")
 
@@ -25,7 +23,8 @@ def import_skeleton(path: Path, splats: bpy.types.Object | None) -> tuple[bpy.ty
     """The armature of a file, added to the scene; with splats it is brought into them, and how is told as well.
 
     What one of `core.skeleton.read.READERS` reads becomes new bones; of other files Blender's importers make the
-    armature, and the object, or what carries it, is turned, scaled and moved. A .vrm is a .glb.
+    armature, and the object, or what carries it, is turned, scaled and moved; an empty carries it where it is animated
+    as an object. A .vrm is a .glb.
 
     Raises:
         InputError: no such file or kind, unreadable, no skeleton.
@@ -52,12 +51,7 @@ def import_skeleton(path: Path, splats: bpy.types.Object | None) -> tuple[bpy.ty
         raise InputError(f"The armature of '{path}' has no deform bones; turn on Deform for those that move the body.")
     placing = guess_placing(bones, points)
     if placing.plain:
-        top = topmost(armature)
-        move = mathutils.Matrix(np.vstack([
-            np.column_stack([placing.scale * placing.rotation, placing.translation]), [0, 0, 0, 1],
-        ]).tolist())  # fmt: skip
-        top.matrix_world = move @ top.matrix_world
-        bpy.context.view_layer.update()
+        place_rig(armature, placing.rotation, placing.scale, placing.translation)
     return armature, placing
 
 

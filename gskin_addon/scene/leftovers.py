@@ -11,11 +11,14 @@ from __future__ import annotations
 import bpy
 from bpy.app.handlers import persistent
 
+from . import names
 from .armature import deform_bone_names
 from .attributes import ObjectData
 from .bone_frames import armature_of, bone_order, is_bone_frames, is_outdated
-from .node_builder import set_input
+from .node_builder import has_input, set_input
 from .object_ref import object_by_uid
+from .probe_nodes import PROBES
+from .probes import is_probe, probes_of
 from .rotation_nodes import FRAMES_INPUT, find_rotation, frames_of
 from .splat_object import is_splat_object
 
@@ -40,7 +43,7 @@ def remove_later(obj: bpy.types.Object) -> None:
 
 
 def clean() -> None:
-    """Remove what is wanted gone, rotation nodes of splats without an armature, and bone frames that turn nothing."""
+    """Remove what is wanted gone, rotation nodes of splats without an armature, bone frames and probes of nobody."""
     global _wanted
     _wanted = False
     for uid in [*_deleted]:
@@ -53,7 +56,9 @@ def clean() -> None:
             rotation = find_rotation(obj)
             if rotation is not None:
                 # Blender 5.2 goes on counting a user of what a removed modifier named.
-                set_input(rotation, FRAMES_INPUT, None)
+                for label in (FRAMES_INPUT, *PROBES):
+                    if has_input(rotation, label):
+                        set_input(rotation, label, None)
                 obj.modifiers.remove(rotation)
     used = {frames_of(obj) for obj in bpy.data.objects if is_splat_object(obj)}
     for frames in [obj for obj in bpy.data.objects if is_bone_frames(obj) and obj.library is None]:
@@ -62,6 +67,15 @@ def clean() -> None:
             bpy.data.objects.remove(frames)
             if mesh is not None and not mesh.users:
                 bpy.data.meshes.remove(mesh)
+    _clean_probes()
+
+
+def _clean_probes() -> None:
+    used = {probe for obj in bpy.data.objects if is_splat_object(obj) for probe in probes_of(obj)}
+    for probe in [obj for obj in bpy.data.objects if is_probe(obj) and obj.library is None and obj not in used]:
+        bpy.data.objects.remove(probe)
+    for mesh in [mesh for mesh in bpy.data.meshes if mesh.get(names.PROBE_MARK) is not None and not mesh.users]:
+        bpy.data.meshes.remove(mesh)
 
 
 def fits(frames: bpy.types.Object, rig: bpy.types.Object | None) -> bool:

@@ -14,6 +14,9 @@ GEO_OFFSET = "gskin_geo_offset"
 """Custom property of a splat object whose file lies far from the origin: world coordinates + it are the file's, turned
 to Blender's axes. Not there for others."""
 
+STANDS_FOR = "gskin_stands_for"
+"""Custom property of a copy of a splat object that is read while it is edited: the session id of what is edited."""
+
 PLACES = "gskin_places"
 """Custom property of a splat mesh: where some splats were when all attributes fitted together."""
 
@@ -22,6 +25,9 @@ FRAMES_MARK = "gskin_bone_frames"
 
 FRAMES_LAYOUT = "gskin_layout"
 """Custom property of the bone frames: what their points were made for."""
+
+PROBE_MARK = "gskin_probe"
+"""Custom property that marks the hidden probes of a splat object, and their mesh."""
 
 OCTAHEDRA_MARK = "gskin_octahedra"
 """Custom property that marks the hidden helper whose faces the display borrows."""
@@ -71,6 +77,8 @@ CONFIDENCE = "gskin:confidence"
 
 ALIKE = "gskin:alike"
 """How much each splat moves with the one that was picked last, 0 to 1; exists where one was."""
+MEANT = "gskin:meant"
+"""Which splats those of `ALIKE` were compared with."""
 STRETCH = "gskin:stretch"
 """How far Try It has stretched what is around each splat: 0 not at all, 1 to three times its length and more."""
 
@@ -91,6 +99,9 @@ ARMATURE_MODIFIER = "Armature"
 ROTATION_MODIFIER = "GSkin Rotation"
 DISPLAY_MODIFIER = "GSkin Display"
 ANCHOR_MODIFIER = "GSkin Anchor"
+
+TEST_POSE = "gskin_test_pose"
+"""Custom property of an armature and of the pose assets that were made for it: the same word on all of them."""
 
 ANCHOR_MARK = "gskin_anchor_mesh"
 """Custom property that marks the hidden helper mesh of anchored splats."""

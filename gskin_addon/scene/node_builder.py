@@ -212,6 +212,21 @@ def get_input(modifier: bpy.types.NodesModifier, name: str) -> Any:
     return modifier.get(identifier)
 
 
+def input_values(modifier: bpy.types.NodesModifier) -> dict[str, Any]:
+    """Values of all inputs of a modifier's node group that can be set on it, by their identifiers; arrays as tuples."""
+    found: dict[str, Any] = {}
+    items: Any = modifier.node_group.interface.items_tree
+    for item in items:
+        if item.item_type != "SOCKET" or item.in_out != "INPUT":
+            continue
+        if hasattr(modifier, "properties"):
+            value = getattr(getattr(modifier.properties.inputs, item.identifier, None), "value", None)
+        else:
+            value = modifier.get(item.identifier)
+        found[item.identifier] = tuple(value) if hasattr(value, "__len__") and not isinstance(value, str) else value
+    return found
+
+
 def _identifier(modifier: bpy.types.NodesModifier, name: str) -> str:
     item: Any
     for item in modifier.node_group.interface.items_tree:

@@ -28,12 +28,11 @@ from ..core.splats.cloud import MAX_SH_DEGREE
 from ..core.splats.similarity import rigid_part
 from . import names
 from .attributes import ObjectData, read_attribute, read_positions, write_attribute
-from .compared import drop_kept
+from .compared import drop_kept, is_edited, mark_edited
 from .fabric import has_fabric
 from .fabric_renewal import renew_later
 from .object_ref import object_by_uid
 from .splat_object import is_splat_object, read_cloud, reference_points, remember_places, replace_cloud
-from .weights import is_edited, mark_edited
 
 Array = NDArray[Any]
 CLASSES = ()

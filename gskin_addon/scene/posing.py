@@ -51,13 +51,13 @@ def turn_bones(
         bpy.context.view_layer.update()
         before = channels(armature, turns)
         for name, vector in turns.items():
-            _turn(armature, name, vector)
+            turn_bone(armature, name, vector)
         asked = {name: armature.pose.bones[name].matrix_basis.copy() for name in turns}
-        notes = [] if _all_free(armature, asked) else _one_by_one(armature, turns, before)
+        notes = [] if all_free(armature, asked) else _one_by_one(armature, turns, before)
     if frame is not None:
         for name in turns:
             bone = armature.pose.bones[name]
-            bone.keyframe_insert(_CHANNELS.get(bone.rotation_mode, "rotation_euler"), frame=frame, group=name)
+            bone.keyframe_insert(rotation_channel(bone), frame=frame, group=name)
     return notes
 
 
@@ -92,17 +92,18 @@ def channels(armature: bpy.types.Object, names: Iterable[str] | None = None) -> 
     """Rotations of the named pose bones (default: of all) to come back to with `restore`."""
     bones = armature.pose.bones
     return {
-        name: tuple(getattr(bones[name], _CHANNELS.get(bones[name].rotation_mode, "rotation_euler")))
+        name: tuple(getattr(bones[name], rotation_channel(bones[name])))
         for name in (bones.keys() if names is None else names)
     }
 
 
-def restore(armature: bpy.types.Object, before: Channels) -> None:
-    """Set what `channels` took."""
+def restore(armature: bpy.types.Object, before: Channels, *, update: bool = True) -> None:
+    """Set what `channels` took; the rig is evaluated anew unless it will be anyway."""
     for name, values in before.items():
         bone = armature.pose.bones[name]
-        setattr(bone, _CHANNELS.get(bone.rotation_mode, "rotation_euler"), values)
-    bpy.context.view_layer.update()
+        setattr(bone, rotation_channel(bone), values)
+    if update:
+        bpy.context.view_layer.update()
 
 
 def pose_matrices(armature: bpy.types.Object) -> dict[str, mathutils.Matrix]:
@@ -143,6 +144,11 @@ def _measured_cloud(obj: bpy.types.Object) -> SplatCloud:
     return to_world(stretch_rows(posed, rest, everything, turn, maps, parity < 0), obj)
 
 
+def rotation_channel(bone: bpy.types.PoseBone) -> str:
+    """The property in which a bone keeps its rotation."""
+    return _CHANNELS.get(bone.rotation_mode, "rotation_euler")
+
+
 def _rotation(bone: bpy.types.PoseBone) -> mathutils.Quaternion:
     if bone.rotation_mode == "QUATERNION":
         return bone.rotation_quaternion.normalized()
@@ -152,7 +158,8 @@ def _rotation(bone: bpy.types.PoseBone) -> mathutils.Quaternion:
     return bone.rotation_euler.to_quaternion()
 
 
-def _turn(armature: bpy.types.Object, name: str, vector: Sequence[float]) -> None:
+def turn_bone(armature: bpy.types.Object, name: str, vector: Sequence[float]) -> None:
+    """Turn one bone as `turn_bones` does, whatever comes of it."""
     bone = armature.pose.bones[name]
     world = armature.matrix_world.to_quaternion()
     rest = world @ bone.bone.matrix_local.to_quaternion()
@@ -177,7 +184,7 @@ def _angle(rotation: mathutils.Quaternion) -> float:
     return float(min(rotation.angle, 2 * np.pi - rotation.angle))
 
 
-def _all_free(armature: bpy.types.Object, asked: Mapping[str, mathutils.Matrix]) -> bool:
+def all_free(armature: bpy.types.Object, asked: Mapping[str, mathutils.Matrix]) -> bool:
     """Whether these bones are evaluated as asked, by their own matrices; not so where others have a say.
 
     asked: taken before the evaluation, which lets drivers write over the channels.
@@ -204,7 +211,7 @@ def _one_by_one(
     for name, vector in turns.items():
         asked = _angle(_quaternion(vector))
         last = pose_matrices(armature)[name].to_quaternion()
-        _turn(armature, name, vector)
+        turn_bone(armature, name, vector)
         bpy.context.view_layer.update()
         got = _angle(last.rotation_difference(pose_matrices(armature)[name].to_quaternion()))
         if asked > _SAME and got < max(_SAME, 0.02 * asked):
@@ -225,7 +232,7 @@ def _held(
         return f"Armature '{armature.name}' is in Rest Position, in which no bone turns; set it to Pose Position."
     every = channels(armature)
     control = find_control(
-        armature, name, lambda other: _turn(armature, other, vector), lambda: restore(armature, every)
+        armature, name, lambda other: turn_bone(armature, other, vector), lambda: restore(armature, every)
     )
     restore(armature, before)
     reason = why_held(armature, name) or "does not follow its channels"

@@ -61,11 +61,12 @@ def iter_write_weights_through(
     *,
     max_influences: int = 4,
     confidence: Array | None = None,
+    edges_only: bool = False,
 ) -> Steps[None]:
     """Let `armature` move the mesh object `proxy` by mesh_weights (V, B), and the splats of `obj` hang on it.
 
     The splats keep weights (N, B) of their own as vertex groups. In slices, of which only the last changes the
-    scene; finding where the splats hang is one of them, long for many splats.
+    scene; finding where the splats hang is one of them, long for many splats. edges_only: as in `anchor_to_mesh`.
 
     Raises InputError as `write_weights`, `bind_proxy` and `anchor_to_mesh` do; nothing is written then.
     """
@@ -82,7 +83,7 @@ def iter_write_weights_through(
         new.commit(carried=True)
         follow(proxy, armature, keep_parent=True)
         groups.commit()
-        attach(obj, proxy, *found)
+        attach(obj, proxy, *found, edges_only=edges_only)
 
 
 def _check(obj: bpy.types.Object, weights: Array) -> None:

@@ -16,6 +16,7 @@ from ..core.rig.skeleton import Skeleton
 from ..core.splats.cleanup import find_strays
 from ..core.splats.cloud import SplatCloud
 from . import names
+from .actions import keys_place
 from .attributes import ObjectData, read_attribute, read_positions
 from .dependencies import is_animated, needed_objects
 
@@ -98,8 +99,8 @@ def scale_rig(armature: bpy.types.Object, factor: float, *, about_world: bool = 
 
     About its own origin, or with `about_world` about the world's.
     """
-    top = topmost(armature)
-    pivot = mathutils.Vector() if about_world else top.location.copy()
+    pivot = mathutils.Vector() if about_world else topmost(armature).location.copy()
+    top = _carrier(armature)
     for obj in (top, *_companions(armature)):
         obj.scale = obj.scale * factor
         obj.location = pivot + (obj.location - pivot) * factor
@@ -109,11 +110,38 @@ def scale_rig(armature: bpy.types.Object, factor: float, *, about_world: bool = 
 
 def move_rig(armature: bpy.types.Object, step: Array) -> bpy.types.Object:
     """Move an armature object, or what carries it, which is given, by `step` (3,); what moves its bones goes along."""
-    top = topmost(armature)
+    top = _carrier(armature)
     for obj in (top, *_companions(armature)):
         obj.location = obj.location + mathutils.Vector([float(value) for value in step])
     bpy.context.view_layer.update()
     return top
+
+
+def place_rig(armature: bpy.types.Object, rotation: Array, scale: float, translation: Array) -> None:
+    """Bring an armature object, or what carries it, by x -> scale * rotation @ x + translation to another place in the
+    world; what moves its bones goes along."""
+    rows = np.vstack([np.column_stack([scale * rotation, translation]), [0, 0, 0, 1]])
+    move = mathutils.Matrix(rows.tolist())
+    for obj in (_carrier(armature), *_companions(armature)):
+        obj.matrix_world = move @ obj.matrix_world
+    bpy.context.view_layer.update()
+
+
+def _carrier(armature: bpy.types.Object) -> bpy.types.Object:
+    """What must be moved or scaled to move or scale a rig: `topmost`, or where its place is animated, so that the next
+    frame would undo it, an empty around that."""
+    top = topmost(armature)
+    return _framed(top) if keys_place(top) else top
+
+
+def _framed(obj: bpy.types.Object) -> bpy.types.Object:
+    """A new empty at the world's origin that carries `obj`, which has no parent."""
+    frame = bpy.data.objects.new(f"{obj.name} Frame", None)
+    for collection in obj.users_collection:
+        collection.objects.link(frame)
+    obj.parent, obj.matrix_parent_inverse = frame, mathutils.Matrix()
+    bpy.context.view_layer.update()
+    return frame
 
 
 def _companions(armature: bpy.types.Object) -> list[bpy.types.Object]:
@@ -127,11 +155,7 @@ def _companions(armature: bpy.types.Object) -> list[bpy.types.Object]:
         if obj == top or len(obj.constraints):
             continue
         if is_animated([obj]):
-            frame = bpy.data.objects.new(f"{obj.name} Frame", None)
-            for collection in obj.users_collection:
-                collection.objects.link(frame)
-            obj.parent, obj.matrix_parent_inverse = frame, mathutils.Matrix()
-            obj = frame
+            obj = _framed(obj)
         found.append(obj)
     return found
 

@@ -148,12 +148,14 @@ def _read_part(obj: bpy.types.Object, armature: bpy.types.Object, notes: list[st
         mesh.loop_triangles.foreach_get("vertices", faces)
         mesh.loop_triangles.foreach_get("loops", loops)
         mesh.loop_triangles.foreach_get("material_index", material)
-        loops = loops.reshape(-1, 3)
-        colors = read_colors(obj, mesh, faces.reshape(-1, 3), loops, material)
+        faces, loops = faces.reshape(-1, 3), loops.reshape(-1, 3)
+        if np.linalg.det(matrix[:3, :3]) < 0:  # a mirrored object is drawn with its triangles turned round
+            faces, loops = faces[:, ::-1], loops[:, ::-1]
+        colors = read_colors(obj, mesh, faces, loops, material)
         weights = _weights(obj, mesh, armature, notes)
     finally:
         evaluated.to_mesh_clear()
-    return _Part(verts, faces.reshape(-1, 3), weights, colors)
+    return _Part(verts, faces, weights, colors)
 
 
 def _weights(

@@ -4,7 +4,8 @@
 The Armature modifier moves vertices and leaves the `rotation` attribute. This group samples the bone frames (see
 `bone_frames.py`), builds each bone's rotation, blends the quaternions of the splat's strongest bones with their
 weights, signs aligned to the first, keeps the result as `gskin:turn` and turns `rotation` by it. In poses in which
-bones are more than rotations, `stretch_nodes.py` changes turn, rotation and scale of their splats.
+bones are more than rotations, `stretch_nodes.py` changes turn, rotation and scale of their splats. What more than one
+armature's vertex groups moves is turned by probes instead (`probes.py`).
 """
 
 from __future__ import annotations
@@ -30,11 +31,14 @@ from .node_builder import (
     get_input,
     set_input,
 )
-from .steps import Steps
+from .probe_nodes import PROBES, STEP, probed_parts, probed_splats, same_number
+from .steps import Steps, part_of
 from .stretch_nodes import influences, stretch_parts, stretched_splats
 
 VERSIONS = {False: 5, True: 6}
 """Of the group, without and with what bendy bones need: it takes a third of a second to build."""
+PROBED = {False: 7, True: 8}
+"""Of the group that takes probes as well, without and with what bendy bones need."""
 GROUPS = 2
 """Version of the groups inside."""
 FRAMES_INPUT = "Bone Frames"
@@ -59,6 +63,37 @@ def rotation_steps(*, bendy: bool = False) -> Steps[bpy.types.NodeTree]:
     return rotation_group(bendy=bendy)
 
 
+def probed_group(*, bendy: bool = False) -> bpy.types.NodeTree:
+    """The node group "GSkin Rotation" for splats with probes (`probes.py`).
+
+    Where there are not as many probes as splats, it does what `rotation_group` does, whose inputs it has, too.
+    """
+    inputs: list[Any] = [(label, "NodeSocketObject", {}) for label in (FRAMES_INPUT, *PROBES)]
+    inputs.append((STEP, "NodeSocketFloat", {}))
+    group, new = geometry_group(names.ROTATION_MODIFIER, PROBED[bendy], inputs)
+    if new:
+        tree = Tree(group)
+        source = tree.node("NodeGroupInput")
+        splats = tree.output(source, "Geometry")
+        given = {"Geometry": splats, FRAMES_INPUT: tree.output(source, FRAMES_INPUT)}
+        plain = tree.call(rotation_group(bendy=bendy), given)["Geometry"]
+        probes = {label: tree.object_geometry(tree.output(source, label)) for label in PROBES}
+        probed = probed_splats(tree, splats, probes, tree.output(source, STEP))
+        chosen = choose(tree, same_number(tree, splats, probes), plain, probed, "GEOMETRY")
+        tree.node("NodeGroupOutput", {"Geometry": chosen})
+        tree.lay_out()
+    return group
+
+
+def probed_steps(*, bendy: bool = False) -> Steps[bpy.types.NodeTree]:
+    """`probed_group` in slices."""
+    yield from part_of(rotation_steps(bendy=bendy), 0.0, 0.6)
+    for part in () if existing_group(names.ROTATION_MODIFIER, PROBED[bendy]) else probed_parts():
+        part()
+        yield 0.8
+    return probed_group(bendy=bendy)
+
+
 def find_rotation(obj: bpy.types.Object) -> bpy.types.NodesModifier | None:
     """The object's rotation modifier, by its node group and not by its name."""
     return find_group(obj, names.ROTATION_MODIFIER)
@@ -75,7 +110,7 @@ def add_rotation(obj: bpy.types.Object, frames: bpy.types.Object, after: bpy.typ
     modifier = find_rotation(obj)
     if modifier is None:
         modifier = add_modifier(obj, names.ROTATION_MODIFIER)
-    rest_in_edit_mode(modifier)
+        rest_in_edit_mode(modifier)
     modifier.node_group = rotation_group(bendy=has_joints(frames))
     set_input(modifier, FRAMES_INPUT, frames)
     here, there = obj.modifiers.find(modifier.name), obj.modifiers.find(after.name)
@@ -83,8 +118,8 @@ def add_rotation(obj: bpy.types.Object, frames: bpy.types.Object, after: bpy.typ
 
 
 def rest_in_edit_mode(modifier: bpy.types.NodesModifier) -> None:
-    """Let the nodes not run in Edit Mode, where no splat is drawn: with modifiers that deform alone Blender need not
-    make a mesh of what is edited after each click."""
+    """Let the nodes not run in Edit Mode while no splat is drawn there (`viewport/switch.py`): with modifiers that
+    deform alone Blender need not make a mesh of what is edited after each click."""
     if modifier.show_in_editmode:
         modifier.show_in_editmode = False
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Callable
 from typing import Any
 
 import bmesh
@@ -18,6 +19,7 @@ from .attributes import ObjectData, read_attribute, read_positions
 from .fabric import select_with_points
 from .seams import read_seams
 from .splat_object import read_cloud
+from .stand_in import mesh_uid
 from .steps import Steps, in_thread, run_to_end
 
 Array = NDArray[Any]
@@ -25,6 +27,7 @@ Mask = NDArray[np.bool_]
 
 _graphs: dict[int, tuple[tuple[int, ...], BodyGraph]] = {}
 """By session id of a mesh: what the graph was made of, and the graph. The last few."""
+_KEPT = 3
 
 
 def body_of(obj: bpy.types.Object) -> BodyGraph:
@@ -37,16 +40,31 @@ def body_of(obj: bpy.types.Object) -> BodyGraph:
 
 def iter_body_of(obj: bpy.types.Object) -> Steps[BodyGraph]:
     """`body_of` in slices: the graph is made beside Blender. Already the first slice raises."""
+    make = body_maker(obj)
+    return (yield from in_thread(make))
+
+
+def body_maker(obj: bpy.types.Object) -> Callable[[], BodyGraph]:
+    """A function that gives `body_of`, for a thread: it reads Blender now and not when it is called.
+
+    Raises InputError as `read_cloud`.
+    """
     sides = read_seams(obj)
     means = read_cloud(obj).means
     made_of = (len(means), zlib.crc32(means.tobytes()), 0 if sides is None else zlib.crc32(sides.tobytes()))
-    uid = obj.data.session_uid
-    if uid not in _graphs or _graphs[uid][0] != made_of:
-        graph = yield from in_thread(lambda: body_graph(means, walls=sides))
-        while len(_graphs) >= 3:
+    uid = mesh_uid(obj)
+
+    def make() -> BodyGraph:
+        known = _graphs.get(uid)
+        if known is not None and known[0] == made_of:
+            return known[1]
+        graph = body_graph(means, walls=sides)
+        while len(_graphs) >= _KEPT:
             _graphs.pop(next(iter(_graphs)))
         _graphs[uid] = made_of, graph
-    return _graphs[uid][1]
+        return graph
+
+    return make
 
 
 def base_colors(obj: bpy.types.Object) -> Array:
@@ -107,6 +125,11 @@ def posed_points(obj: bpy.types.Object) -> Array:
     """(N, 3) where the splats are now in the world, as Blender evaluates their modifiers but for the display."""
     from .node_groups import find_display
 
+    if obj.mode == "EDIT":  # where the display does not run
+        edited: Any = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+        points = read_positions(edited.to_mesh()).astype(np.float64)
+        edited.to_mesh_clear()
+        return _in_world(points, edited)
     display = find_display(obj)
     shown = display is not None and display.show_viewport
     if shown:
@@ -119,5 +142,9 @@ def posed_points(obj: bpy.types.Object) -> Array:
             display.show_viewport = True
     if len(points) != len(obj.data.vertices):
         points = read_positions(obj.data).astype(np.float64)
-    matrix = np.array(evaluated.matrix_world, np.float64)
+    return _in_world(points, evaluated)
+
+
+def _in_world(points: Array, obj: bpy.types.Object) -> Array:
+    matrix = np.array(obj.matrix_world, np.float64)
     return points @ matrix[:3, :3].T + matrix[:3, 3]

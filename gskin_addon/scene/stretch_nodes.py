@@ -109,7 +109,22 @@ def stretched_splats(tree: Tree, splats: Any, found: list[Influence]) -> Any:
     spread = tree.math("SUBTRACT", tree.math("DIVIDE", largest, smallest), 1.0)
     inputs["Uneven"] = tree.math("MAXIMUM", even, spread)
     inputs["Spins"] = tree.out("FunctionNodeCombineMatrix", "Matrix", dict(enumerate(spins)))
-    selected = tree.math("GREATER_THAN", own, RIGID)
+    return _with_shape(tree, splats, tree.math("GREATER_THAN", own, RIGID), inputs)
+
+
+def shaped_splats(tree: Tree, splats: Any, columns: Columns, selected: Any) -> Any:
+    """The geometry with ROTATION, SCALE and TURN as local maps, by their columns, have them where `selected`.
+
+    splats: with ROTATION at rest, and TURN near the maps' own rotations; where not selected it turns them as it is.
+    """
+    inputs = dict(zip(_COLUMNS, columns, strict=True))
+    # Turned by the map alone, and nothing that blending rotations has lost is given back.
+    inputs["Uneven"] = 1.0
+    inputs["Spins"] = tree.out("FunctionNodeCombineMatrix", "Matrix", dict.fromkeys(range(16), 0.0))
+    return _with_shape(tree, splats, selected, inputs)
+
+
+def _with_shape(tree: Tree, splats: Any, selected: Any, inputs: dict[str, Any]) -> Any:
     # One attribute, so that all of it is computed once, and for the selected splats only.
     shape = tree.call(_shape_group(), inputs)["Shape"]
     inputs = {"Geometry": splats, "Selection": selected, "Name": names.SHAPE, "Value": shape}

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import InputError
+from .names import STANDS_FOR
 from .visibility import shown
 
 Array = NDArray[Any]
@@ -37,7 +38,7 @@ def world_similarity(obj: bpy.types.Object, *, mirrored: bool = False) -> tuple[
     through the origin. Raises InputError where the matrix is not uniform: a stretched, sheared or mirrored Gaussian
     has no rotation and scale of its own.
     """
-    if _within_update:
+    if _within_update or obj.get(STANDS_FOR) is not None:
         return similarity_as_shown(obj, mirrored=mirrored)
     with shown([obj]):
         bpy.context.view_layer.update()  # matrix_world lags behind location, rotation and scale set by a script

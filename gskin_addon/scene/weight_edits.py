@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
+from contextlib import nullcontext
 from typing import Any
 
 import bpy
@@ -17,12 +18,16 @@ from . import names
 from .armature import deform_bone_names
 from .binding import bind, check_splats
 from .bone_frames import armature_of, bone_order
+from .compared import mark_edited
+from .edited_weights import EditedRef, iter_write_edited
 from .influences import strongest, write_influences
 from .object_ref import ObjectRef
+from .probes import follow_stack
 from .rotation_nodes import frames_of
+from .stand_in import readable
 from .steps import Steps, in_thread, part_of
 from .vertex_groups import GroupsAside, group_state, restore_group_state
-from .weights import iter_read_weights, mark_edited
+from .weights import iter_read_weights
 
 Array = NDArray[Any]
 
@@ -38,6 +43,7 @@ def iter_edit_weights(
     *,
     lock: Collection[str] = (),
     even: bool = False,
+    there: bpy.types.Object | None = None,
 ) -> Steps[int]:
     """Let `change` work on the weights of `obj`; the number of splats whose weights are others now.
 
@@ -45,19 +51,24 @@ def iter_edit_weights(
     in `lock`, keep their weights to the bit, as do those of no bone; changed rows sum to 1 and keep the strongest
     `names.INFLUENCES` bones, which is what turns splats. `change` gets rows that sum to 1, or to 0 for splats without
     any weight; those that it gives back as they were stay to the bit, unless `even`: then they are brought to a sum of
-    1, too. In slices; only the last one changes the scene.
+    1, too. there: what to read them from in Edit Mode, see `readable`, where there is such a copy already.
 
-    Raises InputError: the object follows no armature, is in Edit Mode, or was changed meanwhile; all bones locked.
+    In slices; only the last one changes the scene. In Edit Mode, which goes on, the last ones do, and what they did is
+    taken back where they are given up.
+
+    Raises InputError: the object follows no armature, or was changed meanwhile; all bones locked.
     """
     armature = armature_of(obj)
     if armature is None:
         raise InputError(f"'{obj.name}' follows no armature by weights of its own; bind it to one first.")
-    check_splats(obj)
-    ref, bones = ObjectRef(obj), deform_bone_names(armature)
+    bones = deform_bone_names(armature)
     locked = np.array([name in lock or _is_locked(obj, name) for name in bones])
     if locked.all():
         raise InputError(f"All vertex groups of '{obj.name}' are locked; unlock those that may change.")
-    painted, _ = yield from part_of(iter_read_weights(obj, bones), 0.0, 0.3)
+    ref = EditedRef(obj) if obj.mode == "EDIT" else ObjectRef(obj)
+    with readable(obj) if there is None else nullcontext(there) as source:
+        check_splats(source)
+        painted, _ = yield from part_of(iter_read_weights(source, bones), 0.0, 0.3)
 
     def work() -> tuple[Array, Array, Array]:
         before = normalise(painted)
@@ -74,6 +85,10 @@ def iter_edit_weights(
     count = int(moved.any(axis=1).sum())
     if not count:
         return 0
+    if isinstance(ref, EditedRef):
+        yield 0.6
+        yield from part_of(iter_write_edited(ref, bones, painted, after), 0.6, 1.0)
+        return count
     obj = ref.find()
     # A group that is made again comes last: those behind the first changed one, too, so that their order stays.
     place = {group.name: group.index for group in obj.vertex_groups}
@@ -90,6 +105,7 @@ def iter_edit_weights(
         obj = groups.commit()
     restore_group_state(obj, state)
     write_influences(obj, bone_order(frames), bones, index, value)
+    follow_stack(obj)
     mark_edited(obj, True)
     return count
 
@@ -104,14 +120,31 @@ def _is_locked(obj: bpy.types.Object, group: str) -> bool:
 
 
 def selected_splats(obj: bpy.types.Object) -> Array:
-    """(N,) bool: the splats that are selected, as Edit Mode shows them, also while it is open."""
+    """(N,) bool: the splats that are selected, as Edit Mode shows them, also while it is open; in Weight Paint with
+    face selection those of the selected faces."""
     if obj.mode == "EDIT":
         obj.update_from_editmode()
     selected = np.zeros(len(obj.data.vertices), np.bool_)
+    if obj.mode == "WEIGHT_PAINT" and obj.data.use_paint_mask:
+        selected[_corners_of_selected_faces(obj)] = True
+        return selected
     obj.data.vertices.foreach_get("select", selected)
     return selected
 
 
 def shows_selection(obj: bpy.types.Object) -> bool:
-    """Whether an artist sees which splats are selected: in Edit Mode, or in Weight Paint with vertex selection."""
-    return obj.mode == "EDIT" or (obj.mode == "WEIGHT_PAINT" and obj.data.use_paint_mask_vertex)
+    """Whether an artist sees what is selected: in Edit Mode, or in Weight Paint with vertex or face selection."""
+    masked = obj.data.use_paint_mask_vertex or obj.data.use_paint_mask
+    return obj.mode == "EDIT" or (obj.mode == "WEIGHT_PAINT" and masked)
+
+
+def _corners_of_selected_faces(obj: bpy.types.Object) -> Array:
+    """(M,) numbers of the points of the faces that are selected and not hidden."""
+    faces, loops = obj.data.polygons, obj.data.loops
+    chosen, hidden = np.zeros(len(faces), np.bool_), np.zeros(len(faces), np.bool_)
+    faces.foreach_get("select", chosen)
+    faces.foreach_get("hide", hidden)
+    total, corner = np.zeros(len(faces), np.int32), np.zeros(len(loops), np.int32)
+    faces.foreach_get("loop_total", total)
+    loops.foreach_get("vertex_index", corner)
+    return corner[np.repeat(chosen & ~hidden, total)]

@@ -29,14 +29,16 @@ from .bone_frames import (
     find_bone_frames,
     is_outdated,
 )
-from .compared import drop_kept, keep
+from .compared import drop_kept, keep, mark_edited
 from .influences import columns_of, rest_is_kept, slice_rows, strongest, turns_by, write_influences
 from .object_ref import ObjectRef, object_by_uid
+from .overlay import follow_weights
+from .probes import follow_stack, is_probed_rightly, iter_prepare_probes, needs_probes, put_before_display
 from .rotation_nodes import add_rotation, find_rotation, frames_of
 from .single_user import own_mesh, sharers
 from .splat_object import is_splat_object, refuse_edit_mode
 from .steps import SLICE, Steps, part_of, run_to_end, slices
-from .vertex_groups import GroupsAside, read_pairs
+from .vertex_groups import GroupsAside, group_state, read_pairs, restore_group_state
 
 Array = NDArray[Any]
 
@@ -114,7 +116,7 @@ class NewWeights:
     ) -> None:
         self._deform = deform_bone_names(armature)
         bones = list(self._deform if bones is None else bones)
-        _check(obj, armature, weights, bones, self._deform)
+        check_weights(obj, armature, weights, bones)
         check_splats(obj)
         self._name, self._armature = obj.name, (armature.session_uid, armature.name)
         self._weights, self._confidence = weights, confidence
@@ -160,12 +162,16 @@ class NewWeights:
         """
         # What may refuse comes first, and before the new mesh, which would have to be evaluated at once.
         obj, armature = self.check()
+        state = group_state(obj)
         if carried:
             set_parent(obj, armature)
         else:
             bind(obj, armature)
         self._groups.commit()
+        restore_group_state(obj, state)
         write_influences(obj, self._deform, self._deform, self._index, self._value)
+        if not carried:
+            follow_stack(obj)  # the mesh is another than where it was bound
         if self._confidence is not None:
             write_attribute(obj.data, names.CONFIDENCE, "FLOAT", self._confidence)
         elif names.CONFIDENCE in obj.data.attributes:
@@ -175,6 +181,8 @@ class NewWeights:
         else:
             keep(obj, *self._start, self._bones)
         mark_edited(obj, False)
+        if not carried:
+            follow_weights(obj)
 
     def _choose(self) -> Steps[None]:
         bones, columns = len(self._deform), np.array(self._columns)
@@ -193,6 +201,25 @@ class NewWeights:
                 rows[:, used] = given[:, columns[used]]
             self._index[part], self._value[part] = strongest(rows, self._index.shape[1])
             yield part.stop / len(self._weights)
+
+
+def check_weights(
+    obj: bpy.types.Object, armature: bpy.types.Object, weights: Array, bones: Sequence[str]
+) -> None:
+    """Raises InputError where weights (N, B) of the B `bones` are not for these splats and this armature."""
+    count = len(obj.data.vertices) if is_splat_object(obj) else 0
+    if np.shape(weights) != (count, len(bones)):
+        raise InputError(
+            f"The weights have shape {np.shape(weights)} and '{obj.name}' has {count} splats for {len(bones)} bones; "
+            "use weights that were made for these splats and this armature."
+        )
+    deform = set(deform_bone_names(armature))
+    missing = [bone for bone in bones if bone not in deform]
+    if missing:
+        raise InputError(
+            f"Armature '{armature.name}' has no deform bone '{missing[0]}', for which there are weights; "
+            "choose the armature that the weights were made with."
+        )
 
 
 def read_weights(obj: bpy.types.Object, bones: Sequence[str] | None = None) -> tuple[Array, list[str]]:
@@ -250,33 +277,28 @@ def iter_update_rotation_weights(obj: bpy.types.Object) -> Steps[bool]:
     armature = _armature_of(obj)
     changed = not turns_by(obj, bones, index, value)
     frames = find_bone_frames(armature)
-    if not changed and frames is not None and frames_of(obj) == frames and rest_is_kept(obj):
+    as_it_was = not changed and frames is not None and frames_of(obj) == frames and rest_is_kept(obj)
+    if as_it_was and not needs_probes(obj) and is_probed_rightly(obj):
         return False
+    yield from iter_prepare_probes(obj)
+    obj = ref.find()
+    if as_it_was:
+        follow_stack(obj)  # of weights beyond the strongest, and of other armatures, nothing above knows
+        return True
     frames = ensure_bone_frames(armature)
     modifier = armature_modifier(obj)
+    put_before_display(obj)
     if find_rotation(obj) is None:
         show_posed_in_edit_mode(modifier)
     add_rotation(obj, frames, modifier)
     if any(bone_order(other) != bone_order(frames) for other in _frames_of_sharers(obj)):
         own_mesh(obj)  # the bones are stored by their number, which means another bone there
     write_influences(obj, bone_order(frames), bones, index, value)
+    follow_stack(obj)
     if changed:
         mark_edited(obj, True)
+        follow_weights(obj)
     return True
-
-
-def mark_edited(obj: bpy.types.Object, edited: bool) -> None:
-    """Remember whether somebody changed the weights since a job or a file gave them."""
-    mark = obj.data[names.MARK]
-    if edited:
-        mark["edited"] = True
-    elif "edited" in mark:
-        del mark["edited"]
-
-
-def is_edited(obj: bpy.types.Object) -> bool:
-    """Whether somebody changed the weights since a job or a file gave them."""
-    return bool(obj.data[names.MARK].get("edited", False))
 
 
 def follows_foreign_frames(obj: bpy.types.Object) -> bool:
@@ -292,6 +314,7 @@ def repoint_frames(obj: bpy.types.Object) -> bool:
     if bone_order(frames) != deform_bone_names(armature) or is_outdated(frames, armature):
         return False
     add_rotation(obj, ensure_bone_frames(armature), armature_modifier(obj))
+    follow_stack(obj)
     return True
 
 
@@ -305,23 +328,6 @@ def _armature_of(obj: bpy.types.Object) -> bpy.types.Object:
     if armature is None:
         raise InputError(f"'{obj.name}' follows no armature; bind it to one first.")
     return armature
-
-
-def _check(
-    obj: bpy.types.Object, armature: bpy.types.Object, weights: Array, bones: Sequence[str], deform: Sequence[str]
-) -> None:
-    count = len(obj.data.vertices) if is_splat_object(obj) else 0
-    if np.shape(weights) != (count, len(bones)):
-        raise InputError(
-            f"The weights have shape {np.shape(weights)} and '{obj.name}' has {count} splats for {len(bones)} bones; "
-            "use weights that were made for these splats and this armature."
-        )
-    missing = [bone for bone in bones if bone not in set(deform)]
-    if missing:
-        raise InputError(
-            f"Armature '{armature.name}' has no deform bone '{missing[0]}', for which there are weights; "
-            "choose the armature that the weights were made with."
-        )
 
 
 def _read(

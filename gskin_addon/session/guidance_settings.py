@@ -16,6 +16,7 @@ from ..core.guidance.options import (
     DiffusionOptions,
     Flux2Options,
     FluxOptions,
+    KleinOptions,
     LightningDragOptions,
 )
 
@@ -27,6 +28,9 @@ _OFFLOAD_TIPS = {
     "model": "One model at a time is on the GPU",
     "sequential": "One layer at a time is on the GPU; slow, for small cards",
 }
+
+
+_KLEIN = "FLUX.2 [klein] in the diffusers layout (black-forest-labs/FLUX.2-klein-4B: Apache-2.0)"
 
 
 def _is_agreed(owner: bpy.types.PropertyGroup) -> bool:
@@ -102,21 +106,27 @@ class _Options:
         return options
 
 
+def _subject() -> Any:
+    return bpy.props.StringProperty(
+        name="Subject",
+        description="What the splats show, in a word or two, for the prompt",
+        default=KleinOptions.subject,
+    )
+
+
+def _prompt(default: str) -> Any:
+    return bpy.props.StringProperty(
+        name="Prompt", description="What the model is told; {subject} stands for the subject", default=default
+    )
+
+
 class GSkinFlux2(_Options, bpy.types.PropertyGroup):
     guidance = "flux2"
 
-    model: _model("Model", "FLUX.2 [klein] in the diffusers layout (black-forest-labs/FLUX.2-klein-4B: Apache-2.0)")
+    model: _model("Model", _KLEIN)
     lora: _folder("LoRA", "What gskin train-guidance tune --model flux2 wrote; empty: the model as it is")
-    subject: bpy.props.StringProperty(
-        name="Subject",
-        description="What the splats show, in a word or two, for the prompt",
-        default=Flux2Options.subject,
-    )
-    prompt: bpy.props.StringProperty(
-        name="Prompt",
-        description="What the model is told; {subject} stands for the subject",
-        default=Flux2Options.prompt,
-    )
+    subject: _subject()
+    prompt: _prompt(Flux2Options.prompt)
     steps: _steps(Flux2Options)
     offload: _offload(Flux2Options)
 
@@ -124,17 +134,9 @@ class GSkinFlux2(_Options, bpy.types.PropertyGroup):
 class GSkinFluxRepair(_Options, bpy.types.PropertyGroup):
     guidance = "flux_repair"
 
-    model: _model("Model", "FLUX.2 [klein] in the diffusers layout (black-forest-labs/FLUX.2-klein-4B: Apache-2.0)")
-    subject: bpy.props.StringProperty(
-        name="Subject",
-        description="What the splats show, in a word or two, for the prompt",
-        default=FluxOptions.subject,
-    )
-    prompt: bpy.props.StringProperty(
-        name="Prompt",
-        description="What the repair is told; {subject} stands for the subject",
-        default=FluxOptions.prompt,
-    )
+    model: _model("Model", _KLEIN)
+    subject: _subject()
+    prompt: _prompt(FluxOptions.prompt)
     strength: bpy.props.FloatProperty(
         name="Strength",
         description="How freely it repaints the posed picture inside the mask",

@@ -65,6 +65,12 @@ class GSkinSettings(bpy.types.PropertyGroup):
         type=bpy.types.Object,
         poll=is_proxy,
     )
+    edges_only: bpy.props.BoolProperty(
+        name="Edges Only",
+        description="Read how the mesh deforms off its edges alone, as in the paper; off, what is scaled is scaled "
+        "along its normals, too",
+        default=False,
+    )
     preset: bpy.props.EnumProperty(
         name="Preset",
         description="How much guidance is made and how long is learned from it",
@@ -125,7 +131,10 @@ class GSkinSettings(bpy.types.PropertyGroup):
         """The choices as settings of a job."""
         names = ("preset", "guidance", "init", "front", "max_influences", "seed")
         options = self.models.as_options(self.guidance)
-        return {**{name: getattr(self, name) for name in names}, **({"options": options} if options else {})}
+        job = {name: getattr(self, name) for name in names}
+        if self.proxy is not None and self.edges_only:
+            job["edges_only"] = True
+        return {**job, "options": options} if options else job
 
 
 CLASSES = (GSkinSettings,)

@@ -14,8 +14,8 @@ from ..core.job.checks import APART, SOUND, better_axis, check_overlap, overlap
 from ..core.rig.rig_scale import ABSURD
 from ..core.rig.skeleton import Skeleton
 from ..scene.armature import rig_similarity
-from ..scene.deform_stack import not_in_the_viewport
 from ..scene.follow_transforms import warning_of
+from ..scene.modifier_stack import blind
 from ..scene.native_nodes import POSITION_STEPS
 from ..scene.node_groups import draws_native
 from ..scene.placement import is_placed, shift_of, up_of
@@ -179,10 +179,11 @@ def _transform_checks(splats: bpy.types.Object) -> list[Check]:
 
 
 def _deform_checks(splats: bpy.types.Object) -> list[Check]:
-    reasons = not_in_the_viewport(splats)
-    if not reasons:
+    """What moves splats and never turns them; all other modifiers are followed (`scene/probes.py`)."""
+    names = blind(splats)
+    if not names:
         return []
-    sentence = f"The viewport turns splats by vertex groups alone, but {reasons[0]}; Render Splats follows"
+    sentence = f"Modifier '{names[0]}' moves splats and turns none of them: it does not ask where they are"
     return [Check("Deformation", "warn", sentence)]
 
 

@@ -30,24 +30,17 @@ from ..core.worker.own_python import own_python
 from ..scene import names
 from ..scene.anchored import read_world_mesh
 from ..scene.armature import read_skeleton
-from ..scene.attributes import read_attribute, write_attribute
-from ..scene.binding import bind
-from ..scene.bone_frames import armature_of
-from ..scene.compared import iter_shown, keep
 from ..scene.fabric import iter_fabric, lay_under
+from ..scene.given_weights import iter_give_weights
 from ..scene.object_ref import object_by_uid
 from ..scene.proxy_object import iter_write_weights_through
 from ..scene.seams import read_seams
-from ..scene.single_user import own_mesh, said_of, sharers
+from ..scene.single_user import said_of, sharers
 from ..scene.splat_object import read_cloud, splat_count
 from ..scene.steps import Steps, part_of, run_to_end
-from ..scene.weight_edits import iter_edit_weights, locked_groups
-from ..scene.weights import is_edited, iter_write_weights, mark_edited, read_weights
+from ..scene.weights import read_weights
 
 Array = NDArray[Any]
-
-YOURS = "your weights from before"
-"""What Compare Weights calls weights that were changed by hand before a job gave others."""
 
 KEPT_JOBS = 3
 """Stopped jobs that are kept, so that the same click goes on where it was."""
@@ -71,6 +64,7 @@ class SkinJob:
     kept: bool = False
     only: Array | None = None
     paintable: bool = False
+    edges_only: bool = False
     started: float = field(default_factory=time.monotonic)
     progress: ProgressEvent = field(default_factory=lambda: ProgressEvent("start"))
     progress_at: float = field(default_factory=time.monotonic)
@@ -156,6 +150,7 @@ class SkinJob:
             folder is not None,
             only,
             paintable,
+            chosen.edges_only,
         )
 
     def wait(self, show: Callable[[ProgressEvent], None]) -> None:
@@ -214,16 +209,14 @@ class SkinJob:
             if result.mesh_weights is None:
                 raise GSkinError("The worker gave no weights for the mesh; run Auto-Skin again.")
             weights = result.weights, result.mesh_weights
-            yield from iter_write_weights_through(splats, proxies[0], armature, *weights, result.bones, **options)
-        elif self.only is not None or locked_groups(splats, result.bones):
-            words = yield from self._merge(splats, armature, result)
+            through = splats, proxies[0], armature, *weights, result.bones
+            yield from iter_write_weights_through(*through, **options, edges_only=self.edges_only)
         else:
-            if armature_of(splats) == armature and is_edited(splats):
-                # What somebody did by hand outweighs what learning started from.
-                options["start"] = YOURS, (yield from part_of(iter_shown(splats, result.bones), 0.0, 0.0))
-            elif result.start is not None:
-                options["start"] = str(result.report.get("start") or "initial weights"), result.start
-            yield from iter_write_weights(splats, armature, result.weights, result.bones, **options)
+            start_name = str(result.report.get("start") or "initial weights")
+            start = None if result.start is None else (start_name, result.start)
+            words = yield from iter_give_weights(
+                splats, armature, result.weights, result.bones, only=self.only, start=start, **options
+            )
         if fabric is not None:
             lay_under(splats, fabric)
         if not self.kept:
@@ -233,26 +226,6 @@ class SkinJob:
         words = f"{words}; {shared}" if shared else words
         summary = result.report.get("summary")
         return f"{words}; {summary}" if isinstance(summary, str) and summary else words
-
-    def _merge(self, splats: bpy.types.Object, armature: bpy.types.Object, result: Result) -> Steps[str]:
-        """Write the weights of the chosen splats and the bones that are not locked; the others stay to the bit."""
-        own_mesh(splats)
-        if armature_of(splats) != armature:
-            bind(splats, armature)
-        order = [list(result.bones).index(bone) for bone in read_skeleton(armature).names]
-        locked, before = locked_groups(splats, result.bones), None
-        if is_edited(splats):
-            before = yield from part_of(iter_shown(splats, result.bones), 0.0, 0.0)
-        count = yield from part_of(iter_edit_weights(splats, lambda _: result.weights[:, order], self.only), 0.0, 1.0)
-        if before is not None:
-            keep(splats, YOURS, before, result.bones)
-        mark_edited(splats, before is not None)
-        confidence = read_attribute(splats.data, names.CONFIDENCE)
-        if result.confidence is not None and confidence is not None:
-            new = result.confidence if self.only is None else np.where(self.only, result.confidence, confidence)
-            write_attribute(splats.data, names.CONFIDENCE, "FLOAT", new)
-        words = f"{count:,} splats of '{splats.name}' have new weights"
-        return f"{words}; {len(locked)} locked groups stayed" if locked else words
 
     @property
     def pictures(self) -> Path:

@@ -25,19 +25,11 @@ def draw(layout: bpy.types.UILayout, models: bpy.types.PropertyGroup, guidance: 
             box.label(text="Online access is off in the preferences", icon="INTERNET_OFFLINE")
 
 
-def _draw_flux2(settings: bpy.types.PropertyGroup, layout: bpy.types.UILayout) -> None:
-    """Add the settings to `layout`."""
-    for name in ("model", "lora"):
-        layout.prop(settings, name, icon="FILE_FOLDER")
-    for name in ("subject", "prompt", "steps", "offload"):
-        layout.prop(settings, name)
-
-
-def _draw_flux_repair(settings: bpy.types.PropertyGroup, layout: bpy.types.UILayout) -> None:
-    """Add the settings to `layout`."""
-    layout.prop(settings, "model", icon="FILE_FOLDER")
-    for name in ("subject", "prompt", "strength", "steps", "offload"):
-        layout.prop(settings, name)
+def _draw_klein(settings: bpy.types.PropertyGroup, layout: bpy.types.UILayout) -> None:
+    """The settings of what runs FLUX.2 [klein]."""
+    for name in ("model", "lora", "subject", "prompt", "strength", "steps", "offload"):
+        if hasattr(settings, name):
+            layout.prop(settings, name, icon="FILE_FOLDER" if name in {"model", "lora"} else "NONE")
 
 
 def _draw_lightning_drag(settings: guidance_settings.GSkinLightningDrag, layout: bpy.types.UILayout) -> None:
@@ -53,4 +45,4 @@ def _draw_lightning_drag(settings: guidance_settings.GSkinLightningDrag, layout:
         layout.prop(settings, name)
 
 
-_DRAW = {"flux2": _draw_flux2, "flux_repair": _draw_flux_repair, "lightning_drag": _draw_lightning_drag}
+_DRAW = {"flux2": _draw_klein, "flux_repair": _draw_klein, "lightning_drag": _draw_lightning_drag}

@@ -25,7 +25,7 @@ MAPPING = (
     )),
     ("bpy.ops.gskin.transfer_weights*", f"{_BUTTONS}#weights-from-another-object"),
     *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#after-a-job") for name in (
-        "compare_weights", "pose_rig", "try_it", "select_unsure_splats",
+        "compare_weights", "pose_rig", "try_it", "test_poses", "select_unsure_splats",
     )),
     ("bpy.ops.gskin.show_moves_with*", f"{_BUTTONS}#display"),
     *((f"bpy.ops.gskin.{name}*", f"{_BUTTONS}#select") for name in (

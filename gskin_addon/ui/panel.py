@@ -37,6 +37,8 @@ class GSKIN_PT_main(bpy.types.Panel):
         column.prop(settings, "splats", icon="OUTLINER_OB_POINTCLOUD")
         column.prop(settings, "armature", icon="OUTLINER_OB_ARMATURE")
         column.prop(settings, "proxy", icon="OUTLINER_OB_MESH")
+        if settings.proxy is not None:
+            column.prop(settings, "edges_only")
         if settings.splats is None or settings.armature is None:
             self._draw_chosen(context, column)
         arrival.draw(context, column)

@@ -61,7 +61,9 @@ def draw_posing(layout: bpy.types.UILayout, splats: bpy.types.Object | None) -> 
     if armature is not None and armature.mode != "POSE":
         layout.operator("gskin.pose_rig", icon="POSE_HLT")
     if splats is not None and armature_of(splats) is not None:
-        layout.operator("gskin.try_it", icon="PLAY")
+        row = layout.row(align=True)
+        row.operator("gskin.try_it", icon="PLAY")
+        row.operator("gskin.test_poses", text="", icon="ASSET_MANAGER")
 
 
 def draw_comparison(layout: bpy.types.UILayout, splats: bpy.types.Object | None) -> None:

@@ -7,13 +7,14 @@ import pytest
 from benchmark_bodies import capsule_asset, result, two_bones
 
 from benchmarks.paper.rows import Row, Table, tables
-from benchmarks.paper.text import table_text, tuning_text
+from benchmarks.paper.text import read_facts, table_text, tuning_text
 from benchmarks.quality.anchored import AnchoredJudge, welded
 from benchmarks.quality.cases import CASES, isotropic
 from benchmarks.quality.judge import MOST_PSNR
 from benchmarks.quality.methods import create_method
 from benchmarks.quality.methods.variant import parse
 from benchmarks.quality.protocol import Protocol
+from gskin_addon.core.errors import InputError
 from gskin_addon.core.training.rigged import RiggedMesh
 
 SMALL = Protocol(frames=3, picture_frames=2, views=2, size=64, poses=2)
@@ -92,6 +93,19 @@ def test_fine_tuning_comes_from_the_report_of_a_training():
     scores = {"psnr": 20.0, "ssim": 0.9, "raw_psnr": 18.5}
     text = tuning_text({"validation": {"before": scores, "after": {**scores, "psnr": 25.0}}})
     assert "| fine-tuned | 25.00 | 0.900 | - | 18.50 |" in text
+
+
+@pytest.mark.parametrize(
+    "text", ["[1]", "7", '{"validation": [1]}', '{"validation": {"before": 3, "after": {}}}',
+             '{"validation": {"before": {"psnr": "high"}, "after": {}}}'],
+)  # fmt: skip
+def test_a_report_of_another_kind_is_refused(tmp_path, text):
+    path = tmp_path / "fine_tuned.json"
+    path.write_text('{"validation": {"before": {"psnr": 20, "ssim": null}, "after": {}}}')
+    assert read_facts(path)["validation"]["before"]["psnr"] == 20
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"fine_tuned\.json"):
+        read_facts(path)
 
 
 def test_a_video_has_all_frames_whatever_is_installed(tmp_path, monkeypatch):

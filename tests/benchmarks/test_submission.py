@@ -50,6 +50,21 @@ def test_weights_of_a_mesh_reach_the_splats(asset, tmp_path):
 
 
 @pytest.mark.parametrize(
+    "change",
+    [lambda v: (v - v.mean(axis=0)) / np.ptp(v), lambda v: 100 * v, lambda v: v + 5, lambda v: v[:, [2, 1, 0]]],
+    ids=["in a unit cube", "in centimetres", "elsewhere", "other axes"],
+)
+def test_a_mesh_in_another_place_is_refused(asset, tmp_path, change):
+    """Its nearest places would give every splat some weights, silently."""
+    verts, faces = asset.surface.verts, asset.surface.faces
+    upper = np.clip((verts[:, 0] - 0.8) / 0.4, 0, 1)
+    np.savez(tmp_path / "capsule.npz", weights=np.stack([1 - upper, upper], 1), bones=NAMES)
+    write_obj(tmp_path / "capsule.obj", change(verts), faces)
+    with pytest.raises(InputError, match=r"capsule\.obj' does not lie where the splats are"):
+        read_submitted(tmp_path, asset)
+
+
+@pytest.mark.parametrize(
     ("change", "words"),
     [
         (lambda w: {"weights": w[:-1]}, "399 rows for 400 splats"),
@@ -114,6 +129,22 @@ def test_results_are_a_file_of_a_known_version(asset, tmp_path):
         path.write_text(json.dumps({**document, **change}))
         with pytest.raises(InputError, match=words):
             read_results(path)
+    one = document["assets"][0]
+    for change, words in (
+        ({"version": True}, "version True"),
+        ({"missing": []}, "table of what is missing"),
+        ({"assets": [{**one, "asset": []}]}, "no score"),
+        ({"assets": [one, one]}, "'a' comes twice"),
+        ({"mean": {}}, "mean error is None"),
+        ({"mean": None}, "no means"),
+        ({"mean": {**document["mean"], "error": 1.0}}, "its mean error is 1.0, that of its assets 2.0"),
+    ):
+        path.write_text(json.dumps({**document, **change}))
+        with pytest.raises(InputError, match=words):
+            read_results(path)
+    path.write_text("[" * 100_000)
+    with pytest.raises(InputError, match="cannot be read"):
+        read_results(path)
     document["assets"][0]["score"]["psnr"] = None
     path.write_text(json.dumps(document))
     with pytest.raises(InputError, match="the psnr None"):

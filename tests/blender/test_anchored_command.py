@@ -16,9 +16,12 @@ from rig_scenes import posed_in_blender
 from gskin_addon import cli
 from gskin_addon.core.job.contract import read_job, read_result, write_result
 from gskin_addon.core.job.mesh_files import read_mesh
+from gskin_addon.core.rig.anchoring import pose_anchored
+from gskin_addon.core.rig.quaternion import quat_to_matrix
 from gskin_addon.core.rig.weights_file import read_weights_file
 from gskin_addon.core.splats.ply import read_ply, write_ply
-from gskin_addon.scene.anchored import proxy_of
+from gskin_addon.scene.anchored import has_edges_only, proxy_of, read_anchors
+from gskin_addon.scene.attributes import read_positions
 from gskin_addon.scene.posing import posed_cloud
 from gskin_addon.scene.splat_object import is_splat_object
 from gskin_addon.session import skin_job
@@ -73,6 +76,12 @@ def rig(files, out, *options):
     )  # fmt: skip
 
 
+def covariances(cloud):
+    """(N, 3, 3)"""
+    axes = quat_to_matrix(cloud.quats.astype(np.float64)) * cloud.scales[:, None, :]
+    return axes @ axes.transpose(0, 2, 1)
+
+
 def test_rigged_splats_hang_on_the_mesh_and_pose_like_the_core(files):
     assert rig(files, "out.blend", "--weights", str(files / "w.npz")) == 0
     assert read_weights_file(files / "w.npz").mesh_weights.shape == (37 * 12, 3)
@@ -87,6 +96,30 @@ def test_rigged_splats_hang_on_the_mesh_and_pose_like_the_core(files):
     assert np.abs(cloud.scales / rest.scales - 1).max() > 0.05
     points, _ = posed_in_blender(obj)
     assert np.abs(points - cloud.means).max() < 1e-5 * 3
+
+
+def test_the_edges_alone_turn_and_shear_the_splats_where_it_is_asked(files, capsys):
+    turn = ["--rotate", "bone1", "0", "0", "60"]
+    posed = []
+    for number, options in enumerate(([], ["--edges-only"])):
+        assert rig(files, f"{number}.blend", *options, "--job-dir", str(files / f"job{number}")) == 0
+        assert read_job(files / f"job{number}").settings.get("edges_only", False) == bool(options)
+        assert cli.main(["pose", str(files / f"{number}.blend"), "--out", str(files / "posed.ply"), *turn]) == 0
+        obj = next(obj for obj in bpy.data.objects if is_splat_object(obj))
+        assert has_edges_only(obj) == bool(options)
+        anchors, verts, faces = read_anchors(obj)
+        proxy = proxy_of(obj).evaluated_get(bpy.context.evaluated_depsgraph_get())
+        moved = read_positions(proxy.data).astype(np.float64)
+        rest = read_ply(files / "limb.ply").cloud
+        wanted = pose_anchored(rest, anchors, verts, moved, faces, edges_only=bool(options))
+        got = read_ply(files / "posed.ply").cloud
+        np.testing.assert_allclose(got.means, wanted.means, atol=1e-5)
+        np.testing.assert_allclose(covariances(got), covariances(wanted), atol=1e-5 * covariances(rest).max())
+        posed.append(covariances(got))
+    assert np.abs(posed[0] - posed[1]).max() > 1e-3 * np.abs(posed[0]).max()
+    command = ["rig", str(files / "limb.ply"), "--armature", str(files / "rig.blend"), "--out", str(files / "c.blend")]
+    assert cli.main([*command, "--edges-only"]) == 2
+    assert "--edges-only is about a proxy mesh; name one with --mesh" in capsys.readouterr().err
 
 
 def test_a_glb_gets_the_splats_own_weights(files):

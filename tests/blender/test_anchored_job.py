@@ -18,7 +18,7 @@ from gskin_addon.core.errors import InputError
 from gskin_addon.core.job.contract import read_job
 from gskin_addon.core.job.mesh_files import read_mesh
 from gskin_addon.scene import names, weights
-from gskin_addon.scene.anchored import proxy_of
+from gskin_addon.scene.anchored import has_edges_only, proxy_of
 from gskin_addon.scene.attributes import read_attribute
 from gskin_addon.scene.bone_frames import armature_of, is_bone_frames
 from gskin_addon.scene.splat_object import create_splat_object
@@ -63,6 +63,16 @@ def test_the_job_holds_the_mesh_in_world_space(scene):
         np.testing.assert_allclose(verts.max(axis=0)[2], 2, atol=1e-6)
     finally:
         job.client.stop()
+
+
+def test_edges_only_goes_into_the_job_and_onto_the_splats(scene):
+    assert "edges_only" not in scene.as_job()
+    scene.edges_only = True
+    assert scene.as_job()["edges_only"] is True
+    assert bpy.ops.gskin.auto_skin() == {"FINISHED"}
+    assert has_edges_only(scene.splats)
+    scene.proxy = None
+    assert "edges_only" not in scene.as_job()
 
 
 def test_a_mesh_changed_meanwhile_changes_nothing(scene):

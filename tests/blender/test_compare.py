@@ -13,11 +13,15 @@ import worker_jobs as jobs
 
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.rig.influences import Influences
+from gskin_addon.core.rig.weights_file import write_weights_file
 from gskin_addon.scene import names
+from gskin_addon.scene.armature import read_skeleton
 from gskin_addon.scene.attributes import read_attribute, read_positions
 from gskin_addon.scene.cleanup import remove_splats
-from gskin_addon.scene.compared import compared, show_side
+from gskin_addon.scene.compared import compared, is_edited, is_kept_edited, show_side
+from gskin_addon.scene.given_weights import YOURS, iter_give_weights
 from gskin_addon.scene.splat_object import create_splat_object
+from gskin_addon.scene.steps import run_to_end
 from gskin_addon.scene.weights import read_weights, update_rotation_weights, write_weights
 
 COUNT = 300
@@ -172,6 +176,59 @@ def test_a_bone_that_is_gone_keeps_the_switch_from_losing_it(splats, armature):
     assert groups_of(splats) == before
     armature.data.bones["Renamed"].name = "upper"
     show_side(splats, "before")
+
+
+def test_blending_with_weights_of_a_bone_that_is_gone_is_refused(splats, armature):
+    armature.data.bones["upper"].name = "Renamed"
+    before = groups_of(splats)
+    with pytest.raises(RuntimeError, match="for bone 'upper'"):
+        bpy.ops.gskin.blend_weights(factor=0.5)
+    assert groups_of(splats) == before
+
+
+def test_hand_work_is_kept_whichever_side_is_shown_when_others_come(splats, armature):
+    """An artist corrects the result, looks at what was before, and runs Auto-Skin again."""
+    splats.vertex_groups["upper"].add(list(range(40)), 0.25, "REPLACE")
+    bpy.context.view_layer.update()
+    mine = read_weights(splats)[0]
+    assert (is_edited(splats), is_kept_edited(splats)) == (True, False)
+    bpy.ops.gskin.compare_weights(show="BEFORE")
+    assert (is_edited(splats), is_kept_edited(splats)) == (False, True)
+    for _ in range(2):  # nor do further runs lose it
+        run_to_end(iter_give_weights(splats, armature, random_weights(), ["lower", "upper"]))
+        assert compared(splats) == (YOURS, "result")
+        assert (is_edited(splats), is_kept_edited(splats)) == (False, True)
+    bpy.ops.gskin.compare_weights(show="BEFORE")
+    assert np.array_equal(read_weights(splats)[0], mine)
+
+
+def test_hand_work_for_a_renamed_bone_keeps_no_job_from_ending(splats, armature):
+    splats.vertex_groups["upper"].add(list(range(40)), 0.25, "REPLACE")
+    bpy.context.view_layer.update()
+    mine = read_weights(splats)[0]
+    bpy.ops.gskin.compare_weights(show="BEFORE")
+    armature.data.bones["upper"].name = "Renamed"
+    run_to_end(iter_give_weights(splats, armature, random_weights(), ["lower", "Renamed"]))
+    armature.data.bones["Renamed"].name = "upper"
+    bpy.ops.gskin.compare_weights(show="BEFORE")
+    assert np.array_equal(read_weights(splats)[0], mine)
+
+
+def test_hand_work_and_locks_outlast_weights_from_a_file(splats, armature, tmp_path):
+    write_weights_file(tmp_path / "w.npz", random_weights(), read_skeleton(armature))
+    bpy.context.scene.gskin.armature = armature
+    splats.vertex_groups["upper"].add(list(range(40)), 0.25, "REPLACE")
+    bpy.context.view_layer.update()
+    mine = read_weights(splats)[0]
+    assert bpy.ops.gskin.load_weights(filepath=str(tmp_path / "w.npz")) == {"FINISHED"}
+    loaded = read_weights(splats)[0]
+    assert not np.allclose(loaded, mine, atol=0.01)
+    bpy.ops.gskin.compare_weights(show="BEFORE")
+    assert np.array_equal(read_weights(splats)[0], mine)
+    splats.vertex_groups["upper"].lock_weight = True
+    assert bpy.ops.gskin.load_weights(filepath=str(tmp_path / "w.npz")) == {"FINISHED"}
+    assert splats.vertex_groups["upper"].lock_weight
+    assert np.array_equal(read_weights(splats)[0][:, 1], mine[:, 1])
 
 
 def test_other_weights_have_nothing_to_compare_with(splats, armature):

@@ -16,6 +16,7 @@ from gskin_addon.core.skeleton.fit import fit
 from gskin_addon.scene.armature import read_skeleton
 from gskin_addon.scene.fitted_rig import create_armature, create_fitted_rig, rigify_is_on
 from gskin_addon.scene.landmarks import read_landmarks
+from gskin_addon.scene.rig_fit import move_rig
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud
 
 DIAGONAL = 2.1
@@ -160,6 +161,46 @@ def test_a_character_file_is_brought_into_the_splats(splats, tmp_path):
     assert bpy.ops.gskin.import_skeleton(filepath=str(path.with_suffix(".vrm"))) == {"FINISHED"}
     armature = bpy.context.active_object
     assert joint_errors(armature, splats).mean() < 0.06 * DIAGONAL
+
+
+@pytest.mark.parametrize("kind", ["action", "nla", "driver"])
+def test_a_rig_that_is_animated_as_an_object_stays_where_it_was_brought(splats, kind, tmp_path):
+    """As exporters write it: keys of the object's place would put it back at the next frame."""
+    found = fit("human", read_cloud(splats))
+    armature = create_armature(found.placed().moved(np.eye(3), 0.1, (4, 0, 0)), "Walker")
+    step = bpy.data.objects.new("Target", None)
+    bpy.context.scene.collection.objects.link(step)
+    step.location = armature.matrix_world @ armature.data.bones["hand.L"].tail_local
+    armature.pose.bones["hand.L"].constraints.new("DAMPED_TRACK").target = step
+    if kind == "driver":
+        armature.driver_add("location", 0).driver.expression = "0"
+    else:
+        for path in ("location", "rotation_euler", "scale"):
+            armature.keyframe_insert(path, frame=1)
+    if kind == "nla":
+        data = armature.animation_data
+        track, action, slot = data.nla_tracks.new(), data.action, getattr(data, "action_slot", None)
+        strip = track.strips.new("walk", 1, action)
+        data.action = None
+        if slot is not None:
+            strip.action_slot = slot
+    path = tmp_path / "walker.blend"
+    bpy.data.libraries.write(str(path), {armature, step}, fake_user=True)
+    bpy.data.objects.remove(armature)
+    bpy.data.objects.remove(step)
+    splats.select_set(True)
+    bpy.context.view_layer.objects.active = splats
+    assert bpy.ops.gskin.import_skeleton(filepath=str(path)) == {"FINISHED"}
+    armature = bpy.context.active_object
+    bpy.context.scene.frame_set(5)
+    assert joint_errors(armature, splats).mean() < 0.06 * DIAGONAL
+    target = armature.pose.bones["hand.L"].constraints[0].target
+    tip = armature.matrix_world @ armature.data.bones["hand.L"].tail_local
+    assert (target.matrix_world.translation - tip).length < 1e-3
+    moved = np.array(armature.matrix_world.translation)
+    move_rig(armature, np.array([1.0, 0.0, 0.0]))
+    bpy.context.scene.frame_set(6)
+    np.testing.assert_allclose(np.array(armature.matrix_world.translation) - moved, [1, 0, 0], atol=1e-5)
 
 
 def test_the_metarig_becomes_a_control_rig_in_the_splats(splats):

@@ -19,7 +19,7 @@ from gskin_addon.scene import handlers, names, weights
 from gskin_addon.scene.armature import pose_transforms_of
 from gskin_addon.scene.attributes import read_attribute, write_attribute
 from gskin_addon.scene.bone_frames import is_bone_frames
-from gskin_addon.scene.compared import compared
+from gskin_addon.scene.compared import compared, is_edited, mark_edited
 from gskin_addon.scene.fabric import has_fabric, iter_make_fabric
 from gskin_addon.scene.influences import read_influences
 from gskin_addon.scene.node_groups import find_display
@@ -28,7 +28,7 @@ from gskin_addon.scene.seams import read_seams, write_seams
 from gskin_addon.scene.splat_object import create_splat_object, is_splat_object, read_cloud
 from gskin_addon.scene.steps import run_to_end
 from gskin_addon.scene.transforms import world_similarity
-from gskin_addon.scene.weights import is_edited, mark_edited, read_weights, write_weights
+from gskin_addon.scene.weights import read_weights, write_weights
 
 COUNT, BONES = 240, 6
 

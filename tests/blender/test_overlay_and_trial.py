@@ -202,6 +202,19 @@ def test_ranges_come_from_limits_and_what_holds_bones_is_let_go(scene):
     assert all(r[2:] == (-WIDEST, WIDEST) for s in Trial(obj).swings for r in s.bones if r[0] == "bone2")
 
 
+def test_bones_that_constraints_hold_are_tried_though_their_channels_are_locked(scene):
+    """So are all deform bones of Rigify."""
+    obj, armature = scene
+    bone = armature.pose.bones["bone2"]
+    bone.lock_rotation = (True, True, True)
+    assert not any(name == "bone2" for swing in Trial(obj).swings for name, *_ in swing.bones)
+    bone.constraints.new("COPY_ROTATION").target = armature
+    bone.constraints[0].subtarget = "bone0"
+    tried = Trial(obj)
+    assert {axis for swing in tried.swings for name, axis, *_ in swing.bones if name == "bone2"} == {0, 2}
+    bone.lock_rotation = (False, False, False)
+
+
 def test_played_in_time_with_every_end_and_stopped_at_any_moment(scene):
     obj, armature = scene
     before, trial = state(armature), Trial(obj)

@@ -162,6 +162,25 @@ def test_a_character_of_any_file_is_an_asset(files, ending, tmp_path):
         assert not mesh.textures.colors(high, np.full((len(high), 3), 1 / 3))[0].any()
 
 
+def test_a_mirrored_character_shows_its_outside(tmp_path):
+    """Splats are drawn below the surface that the triangles' order says, and colours stay at their corners."""
+    made = {}
+    for mirrored in (False, True):
+        make_character()
+        bpy.data.objects["Rig"].scale = (-1 if mirrored else 1, 1, 1)
+        path = tmp_path / f"{mirrored}.blend"
+        bpy.ops.wm.save_as_mainfile(filepath=str(path), copy=True)
+        made[mirrored] = import_rigged(path).arrays
+    plain, turned = made[False], made[True]
+    corner = turned["verts"][turned["faces"]]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    outwards = (normal * (corner.mean(axis=1) - turned["verts"].mean(axis=0)))[:, :2].sum(axis=1)
+    sides = np.abs(normal[:, 2]) < 1e-9
+    assert (outwards[sides & (corner[:, :, 2].max(axis=1) < 2.01)] > 0).all()
+    np.testing.assert_array_equal(turned["corner_rgb"][:, ::-1], plain["corner_rgb"])
+    np.testing.assert_array_equal(turned["corner_uv"][:, ::-1], plain["corner_uv"])
+
+
 @pytest.mark.parametrize("ending", ["blend", "glb"])
 def test_the_liveliest_clip_comes_along(files, ending):
     """Weights and matrices give what Blender's own modifier gives, frame by frame."""

@@ -19,9 +19,11 @@ from gskin_addon.core.splats.cloud import SH_C0
 from gskin_addon.operators import _sliced, select_splats
 from gskin_addon.operators._selecting import SelectSplats, combined
 from gskin_addon.scene import names, selecting
+from gskin_addon.scene.attributes import read_attribute
 from gskin_addon.scene.fabric import iter_make_fabric
 from gskin_addon.scene.seams import write_seams
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud
+from gskin_addon.scene.stand_in import readable
 from gskin_addon.scene.steps import run_to_end
 from gskin_addon.scene.weights import read_weights, write_weights
 from gskin_addon.ui import select_menu
@@ -178,6 +180,37 @@ def test_front_side_only(splats, monkeypatch):
         bpy.ops.gskin.select_in_front()
 
 
+def test_edit_mode_knows_where_the_pose_puts_the_splats(splats):
+    armature = splats.modifiers[0].object
+    rigs.random_pose(armature, np.random.default_rng(2), 0.8)
+    bpy.context.view_layer.update()
+    posed = selecting.posed_points(splats)
+    bpy.ops.object.mode_set(mode="EDIT")
+    np.testing.assert_allclose(selecting.posed_points(splats), posed, atol=1e-5)
+    for bone in armature.pose.bones:
+        bone.matrix_basis.identity()
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(selecting.posed_points(splats), read_points(splats), atol=1e-5)
+    assert np.abs(posed - read_points(splats)).max() > 0.1
+
+
+def read_points(obj):
+    with readable(obj) as there:
+        return read_cloud(there).means
+
+
+def test_by_bone_knows_weights_that_were_changed_in_edit_mode(splats):
+    before, bones = read_weights(splats)
+    sure = read_attribute(splats.data, names.CONFIDENCE)
+    selecting.enter_edit_mode(bpy.context, splats, np.arange(COUNT) < 50)
+    bpy.ops.gskin.assign_to_bone(bone=bones[3])
+    bpy.ops.gskin.select_by_bone(bone=bones[3], least=0.99)
+    found = selected(splats)
+    assert found[:50].all()
+    np.testing.assert_array_equal(found[50:], before[50:, 3] >= 0.99)
+    write_weights(splats, splats.modifiers[0].object, before, confidence=sure)
+
+
 def test_in_weight_paint_the_mode_stays(splats):
     bpy.ops.object.mode_set(mode="WEIGHT_PAINT")
     assert bpy.ops.gskin.select_by_bone(bone="bone.001", least=0.4) == {"FINISHED"}
@@ -271,7 +304,7 @@ def test_the_graph_of_the_first_click_is_made_beside_blender(splats, window, mon
     assert click.invoke(window, None) == {"RUNNING_MODAL"}
     assert not threads, "the click itself returns at once"
     while (answer := click.modal(window, TIMER)) == {"RUNNING_MODAL"}:
-        assert splats.mode == "OBJECT"
+        assert splats.mode == "EDIT", "leaving it and coming back would draw all splats twice"
     assert answer == {"FINISHED"}
     assert threads
     assert threading.main_thread() not in threads
@@ -295,8 +328,43 @@ def test_done_again_from_the_panel_it_is_done_at_once(splats, window):
 def test_escape_leaves_mode_and_selection(splats, window):
     click = Click()
     click.invoke(window, None)
+    objects, meshes = len(bpy.data.objects), len(bpy.data.meshes)
     click.modal(window, TIMER)
-    assert splats.mode == "OBJECT"
+    assert splats.mode == "EDIT"
+    assert len(bpy.data.objects) == objects + 1, "a copy is read"
     assert click.modal(window, ESCAPE) == {"CANCELLED"}
     assert splats.mode == "EDIT"
+    assert (len(bpy.data.objects), len(bpy.data.meshes)) == (objects, meshes)
     np.testing.assert_array_equal(selected(splats), np.arange(COUNT) == 7)
+
+
+@pytest.mark.parametrize("how", ["hidden", "excluded"])
+def test_what_cannot_be_seen_is_not_selected_in(splats, how):
+    """Blender has no Edit Mode for it; a sentence says so instead of a fault."""
+    scene, shelf = bpy.context.scene, bpy.data.collections.new("Shelf")
+    homes = list(splats.users_collection)
+    scene.collection.children.link(shelf)
+    scene.gskin.splats = splats
+    write_seams(splats, np.arange(COUNT) % 3)
+    if how == "hidden":
+        splats.hide_set(True)
+    else:
+        shelf.objects.link(splats)
+        for home in homes:
+            home.objects.unlink(splats)
+        bpy.context.view_layer.layer_collection.children["Shelf"].exclude = True
+    try:
+        for click in ("select_by_bone", "select_unsure_splats", "next_unsure_cluster", "select_seams"):
+            options = {"bone": read_weights(splats)[1][0]} if click == "select_by_bone" else {}
+            with pytest.raises(RuntimeError, match=r"Error: 'S' is (hidden|in a collection that is excluded)"):
+                getattr(bpy.ops.gskin, click)(**options)
+    finally:
+        write_seams(splats, None)
+        scene.gskin.splats = None
+        if how == "excluded":
+            for home in homes:
+                home.objects.link(splats)
+        bpy.data.collections.remove(shelf)
+        splats.hide_set(False)
+        bpy.context.view_layer.objects.active = splats
+        splats.select_set(True)

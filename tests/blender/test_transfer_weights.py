@@ -15,10 +15,11 @@ import gskin_addon
 from gskin_addon.core.rig.lbs import sparsify
 from gskin_addon.core.splats.from_mesh import sample_mesh
 from gskin_addon.scene.bone_frames import armature_of
+from gskin_addon.scene.compared import is_edited
 from gskin_addon.scene.fabric import has_fabric
 from gskin_addon.scene.proxy_object import create_mesh_object
 from gskin_addon.scene.splat_object import create_splat_object
-from gskin_addon.scene.weights import is_edited, read_weights, write_weights
+from gskin_addon.scene.weights import read_weights, write_weights
 
 BONES = ("a", "b", "c")
 

@@ -187,7 +187,7 @@ def test_splats_go_to_the_shader_and_come_back(window, tmp_path):
     assert switch.is_drawn(obj)
     for change, undo in (
         (lambda: set_display(obj, "Display", False), lambda: set_display(obj, "Display", True)),
-        (lambda: bpy.ops.object.mode_set(mode="EDIT"), lambda: bpy.ops.object.mode_set(mode="OBJECT")),
+        (lambda: bpy.ops.object.mode_set(mode="VERTEX_PAINT"), lambda: bpy.ops.object.mode_set(mode="OBJECT")),
         (lambda: setattr(bpy.context.scene, "gskin_draw_splats", False),
          lambda: setattr(bpy.context.scene, "gskin_draw_splats", True)),
         (lambda: switch.fail("no reason"), switch.try_again),

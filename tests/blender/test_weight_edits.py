@@ -15,7 +15,11 @@ from gskin_addon.core.rig.lbs import sparsify
 from gskin_addon.core.skinning.edits.blend import sharpen, smooth
 from gskin_addon.core.skinning.edits.body_graph import body_graph
 from gskin_addon.core.skinning.edits.keep import keep
+from gskin_addon.scene import names as attributes
+from gskin_addon.scene.compared import is_edited
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud
+from gskin_addon.scene.stand_in import readable
+from gskin_addon.scene.weight_edits import iter_edit_weights
 from gskin_addon.scene.weights import read_weights, write_weights
 
 COUNT, BONES = 400, 6
@@ -91,6 +95,64 @@ def test_selection_locks_order_and_other_groups_stay(scene):
     assert obj.vertex_groups["mine"].weight(3) == 0.5
 
 
+def test_edit_mode_is_not_left(scene):
+    """Blender draws all splats each time that it is left or entered."""
+    obj, armature, before = scene
+    bones = read_weights(obj)[1]
+    group = obj.vertex_groups[bones[2]]
+    obj.vertex_groups.remove(group)
+    before[:, 2] = 0
+    selected = np.arange(COUNT) % 3 == 0
+    select(obj, selected)
+    bpy.ops.object.mode_set(mode="EDIT")
+    objects, meshes = len(bpy.data.objects), len(bpy.data.meshes)
+    wanted = np.zeros_like(before)
+    wanted[:, [2, 4]] = 0.25, 0.75
+    for end in ("given up", "whole"):
+        steps = iter_edit_weights(obj, lambda weights: wanted, selected)
+        shares = []
+        for share in steps:
+            assert obj.mode == "EDIT"
+            shares.append(share)
+            if end == "given up" and share > 0.6:
+                assert (edited_weights(obj)[0] != before).any(), "the last slices change the scene"
+                steps.close()
+        assert max(shares) > 0.6
+        if end == "given up":
+            assert np.array_equal(edited_weights(obj)[0], before)
+        assert (len(bpy.data.objects), len(bpy.data.meshes)) == (objects, meshes)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    after = read_weights(obj, bones)[0]
+    np.testing.assert_allclose(after[selected], wanted[selected], atol=1e-6)
+    assert np.array_equal(after[~selected], before[~selected])
+    assert not in_group(obj, bones[0])[selected].any(), "without weight in no group"
+    assert is_edited(obj)
+    rigs.random_pose(armature, np.random.default_rng(1), 0.8)
+    rigs.assert_same_pose(obj, armature)
+
+
+def edited_weights(obj):
+    """The weights of what is edited."""
+    with readable(obj) as there:
+        return read_weights(there)
+
+
+def in_group(obj, name):
+    """(N,) which splats are in a vertex group."""
+    index = obj.vertex_groups[name].index
+    return np.array([any(group.group == index for group in vertex.groups) for vertex in obj.data.vertices])
+
+
+def test_a_refusal_in_edit_mode_names_the_object(scene):
+    obj, _armature, _before = scene
+    obj.data.attributes.remove(obj.data.attributes[attributes.SCALE])
+    bpy.ops.object.mode_set(mode="EDIT")
+    with pytest.raises(RuntimeError, match="'S' has lost its splat attribute"):
+        bpy.ops.gskin.smooth_weights()
+    assert obj.mode == "EDIT"
+    assert not [other for other in bpy.data.objects if other.name.startswith("S.")]
+
+
 def test_to_bone_flood_and_neighbours(scene):
     obj, _armature, before = scene
     bones = read_weights(obj)[1]
@@ -156,6 +218,25 @@ def test_splats_without_weights_stay_so_or_take_what_is_given(scene):
     mean = before[graph.neighbour[row][graph.linked[row]]].sum(axis=0)
     expected = keep(before, np.tile(mean, (COUNT, 1)), most=4)[row]
     np.testing.assert_allclose(read_weights(obj)[0][row], expected, atol=1e-5)
+
+
+def test_face_selection_of_weight_paint_is_a_selection(scene):
+    obj, _armature, before = scene
+    assert bpy.ops.gskin.make_paintable() == {"FINISHED"}
+    faces = np.zeros(len(obj.data.polygons), bool)
+    faces[:20], hidden = True, np.zeros(len(faces), bool)
+    hidden[10:15] = True
+    obj.data.polygons.foreach_set("select", faces)
+    obj.data.polygons.foreach_set("hide", hidden)
+    meant = {int(i) for face in np.flatnonzero(faces & ~hidden) for i in obj.data.polygons[face].vertices}
+    bpy.ops.object.mode_set(mode="WEIGHT_PAINT")
+    obj.data.use_paint_mask = True
+    select(obj, np.ones(COUNT, bool))
+    assert bpy.ops.gskin.sharpen_weights(amount=0.9) == {"FINISHED"}
+    bpy.ops.object.mode_set(mode="OBJECT")
+    changed = set(np.flatnonzero((read_weights(obj)[0] != before).any(axis=1)).tolist())
+    assert changed
+    assert changed <= meant
 
 
 def test_mirror_needs_sides(scene):

@@ -21,7 +21,7 @@ from splat_clouds import random_cloud
 import gskin_addon
 from gskin_addon import cli
 from gskin_addon.commands import parser, render, rig
-from gskin_addon.commands.job_settings import job_settings
+from gskin_addon.commands.job_settings import job_settings, warning_of_no_guidance
 from gskin_addon.commands.pose import parse_turns
 from gskin_addon.core.errors import Cancelled, GSkinError, InputError, Stopped
 from gskin_addon.core.job.progress import ProgressEvent
@@ -262,6 +262,25 @@ def test_wrong_losses_and_field_options_are_one_sentence(arguments, words):
     assert one_sentence(str(refused.value) + "\n")
 
 
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--preset", "paper"], "initial weights (visibility) are the result; for --preset paper to count"),
+        (["--views", "2", "--loss", "arap=1"], "initial weights (learned) are the result; for --views, --loss to"),
+        (["--field", "volume", "--field-option", "start=fit"], "for --field, --field-option to count"),
+        (["--preset", "paper", "--guidance", "elastic"], ""),
+        ([], ""),
+        (["--max-influences", "2", "--init", "heat"], ""),
+    ],
+)
+def test_options_of_learning_without_guidance_are_told(arguments, words):
+    """The preset paper without a guidance would pass for the paper, and be its initial weights."""
+    options = parser.build().parse_args(["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", *arguments])
+    said = warning_of_no_guidance(options, JobSettings.parse(job_settings(options, {})))
+    assert words in said
+    assert bool(words) == bool(said)
+
+
 def guidance_of(*arguments):
     return rig.guidance_options(
         parser.build().parse_args(["rig", "a.ply", "--armature", "r.glb", "--out", "o.blend", *arguments])
@@ -285,6 +304,8 @@ def test_guidance_options_have_the_types_that_the_guidance_wants(tmp_path, monke
         (("--guidance", "flux_repair"), "No FLUX.2 .* is named"),
         (("--guidance", "flux_repair", "--guidance-option", "model=8"), "'8', does not exist"),
         (("--guidance", "elastic", "--allow-download"), "fetches nothing"),
+        (("--guidance", "elastic", "--guidance-option", "strength=0.5"), "'elastic' has no option 'strength', nor any"),
+        (("--guidance-option", "models=a"), "'none' has no option 'models'.* lightning_drag"),
         (("--guidance", "flux_repair", "--guidance-option", "allow_download=true"), "agree when you start"),
     ):
         with pytest.raises(InputError, match=words):

@@ -19,8 +19,8 @@ LAYERS = 28
 """The pipeline reads the text encoder's hidden states 9, 18 and 27."""
 
 
-def save_tiny_flux(folder: Path, *, is_distilled: bool = True, seed: int = 0) -> Path:
-    """Tokens of 4 pixels: the VAE halves the image once, the packing once more."""
+def save_tiny_flux(folder: Path, *, is_distilled: bool = True, seed: int = 0, halvings: int = 1) -> Path:
+    """The VAE halves an image so many times and the packing once more: tokens of 4 pixels, of 16 as in truth with 3."""
     torch.manual_seed(seed)
     hidden = 16
     text_encoder = Qwen3ForCausalLM(
@@ -47,9 +47,9 @@ def save_tiny_flux(folder: Path, *, is_distilled: bool = True, seed: int = 0) ->
         guidance_embeds=False,
     )
     vae = AutoencoderKLFlux2(
-        down_block_types=("DownEncoderBlock2D", "DownEncoderBlock2D"),
-        up_block_types=("UpDecoderBlock2D", "UpDecoderBlock2D"),
-        block_out_channels=(8, 8),
+        down_block_types=("DownEncoderBlock2D",) * (halvings + 1),
+        up_block_types=("UpDecoderBlock2D",) * (halvings + 1),
+        block_out_channels=(8,) * (halvings + 1),
         layers_per_block=1,
         latent_channels=4,
         norm_num_groups=4,

@@ -11,8 +11,11 @@ import numpy as np
 import pytest
 
 from gskin_addon.core.splats.cloud import SplatCloud
-from gskin_addon.scene.armature import read_skeleton
+from gskin_addon.scene.armature import pose_transforms_of, read_skeleton
+from gskin_addon.scene.pose_assets import write_pose
 from gskin_addon.scene.splat_object import create_splat_object
+from gskin_addon.scene.steps import run_to_end
+from gskin_addon.scene.test_poses import iter_test_poses
 from gskin_addon.scene.weights import write_weights
 
 
@@ -56,6 +59,41 @@ def test_a_bone_that_is_held_names_a_control_that_moves_it(bone, control, human,
     settings = ("--set", *switch.groups()) if switch else ()
     means = fig.posed_means(human, *settings, "--rotate", control, *turn)
     assert np.abs(means - fig.posed_means(human, *settings)).max() > 0.01
+
+
+def test_test_poses_turn_the_controls_and_take_them_back(human):
+    bpy.ops.wm.open_mainfile(filepath=str(human))
+    obj, armature = bpy.data.objects["human"], bpy.data.objects["rig"]
+    bones = read_skeleton(armature).names
+    moved = ("DEF-upper_arm.L", "DEF-shin.R", "DEF-spine.006")
+    carried = (*moved, "DEF-thigh.L.001")  # the last is half of a bone, and turns with the other half
+    weights = np.zeros((len(obj.data.vertices), len(bones)), np.float32)
+    weights[np.arange(len(weights)), [bones.index(carried[i % 4]) for i in range(len(weights))]] = 1
+    write_weights(obj, armature, weights)
+    before = [tuple(map(tuple, bone.matrix_basis)) for bone in armature.pose.bones]
+    found = run_to_end(iter_test_poses(obj, (0, -1, 0)))
+    assert "DEF-thigh.L.001" in found.held
+    assert not set(moved) & set(found.held)
+    assert [tuple(map(tuple, bone.matrix_basis)) for bone in armature.pose.bones] == before
+    assert armature.pose.bones["upper_arm_parent.L"]["IK_FK"] == 0
+    poses = {pose.name: pose for pose in found.poses}
+    assert {"upper_arm_fk.L Up", "upper_arm_fk.L Down", "shin_fk.R Back", "head Left", "Rest"} <= set(poses)
+    assert not any(name.startswith("root") for name in poses), "that turns the whole figure"
+    # The arm stretches to its side, the leg hangs down.
+    assert ('pose.bones["upper_arm_parent.L"]["IK_FK"]', 0) in poses["upper_arm_fk.L Up"].values
+    for name, bone in (("upper_arm_fk.L Up", moved[0]), ("shin_fk.R Back", moved[1]), ("head Left", moved[2])):
+        armature.pose.apply_pose_from_action(write_pose(armature, poses[name]))
+        armature.update_tag()
+        bpy.context.view_layer.update()
+        change = pose_transforms_of(armature)[bones.index(bone)][:3, :3]
+        turned = np.degrees(np.arccos(np.clip((np.trace(change) - 1) / 2, -1, 1)))
+        assert 40 < turned < 62, name
+        wanted = found.transforms[found.poses.index(poses[name])][bones.index(bone)]
+        np.testing.assert_allclose(pose_transforms_of(armature)[bones.index(bone)], wanted, atol=1e-4)
+        armature.pose.apply_pose_from_action(write_pose(armature, poses["Rest"]))
+        armature.update_tag()
+        bpy.context.view_layer.update()
+        np.testing.assert_allclose(pose_transforms_of(armature), found.transforms[-1], atol=1e-4)
 
 
 def test_an_fk_control_in_ik_says_what_to_switch(human, tmp_path, capfd):

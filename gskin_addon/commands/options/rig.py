@@ -47,6 +47,12 @@ def add(commands: Any) -> None:
         metavar="PROXY",
         help="a mesh of the same object (.obj, .ply, .glb, .npz, ...): learn weights on it, hang the splats on it",
     )
+    rig.add_argument(
+        "--edges-only",
+        action="store_true",
+        help="with --mesh: splats turn and shear as the mesh's edges alone say, as in the paper (default: what is "
+        "scaled is scaled along its normals, too)",
+    )
     rig.add_argument("--mesh-up", choices=UP_AXES, help="that mesh's up axis (default: y for .glb and .gltf, else z)")
     up(rig, UP_CHOICES, "the splat file's up axis, or auto to guess it (default: by the format's rules, else z)")
     rig.add_argument(

@@ -50,10 +50,11 @@ class JobSettings:
     init_options: those of the initial weights, {"model": path} for learned ones;
     field: a name in WEIGHT_FIELDS or PRESET_FIELD; field_options: the weight field's own; mesh: name of a
     file in the job's folder with a proxy mesh in the same world space, whose vertices get the weights and carry the
-    splats (see `mesh_file`), empty for none; hygiene: what to do about bad splats, see `Cleanup`; losses: factors of
-    the loss, see `LossWeights`; scope: name of a file in the job's folder with present weights, the splats that may
-    change, and walls, see `core/job/scope.py`; empty for none; rasterizer: a name in BACKENDS, or "auto" for the
-    fastest that works here.
+    splats (see `mesh_file`), empty for none; edges_only: its vertices turn and shear as the least squares of the edges
+    alone say (see `rest_rings`), while learning and afterwards, of no effect without a mesh; hygiene: what to do about
+    bad splats, see `Cleanup`; losses: factors of the loss, see `LossWeights`; scope: name of a file in the job's folder
+    with present weights, the splats that may change, and walls, see `core/job/scope.py`; empty for none; rasterizer: a
+    name in BACKENDS, or "auto" for the fastest that works here.
     """
 
     preset: str = DEFAULT_PRESET
@@ -68,6 +69,7 @@ class JobSettings:
     field: str = PRESET_FIELD
     field_options: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     mesh: str = ""
+    edges_only: bool = False
     hygiene: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     losses: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     scope: str = ""
@@ -154,6 +156,11 @@ def _whole(name: str, value: Any) -> None:
         raise InputError(f"The job's {name} is {_shown(value)}; it must be a whole number from 0 up.")
 
 
+def _switch(name: str, value: Any) -> None:
+    if not isinstance(value, bool):
+        raise InputError(f"The job's {name} is {_shown(value)}; it must be true or false.")
+
+
 def _view_count(name: str, value: Any) -> None:
     if isinstance(value, bool) or value not in VIEW_COUNTS or not isinstance(value, int):
         counts = ", ".join(str(count) for count in VIEW_COUNTS)
@@ -186,6 +193,7 @@ CHECKS: dict[str, Check] = {
     "field": _one_of((PRESET_FIELD,), WEIGHT_FIELDS),
     "field_options": _table,
     "mesh": _own_file,
+    "edges_only": _switch,
     "hygiene": _table,
     "losses": _table,
     "scope": _own_file,

@@ -44,7 +44,7 @@ def run(job: JobInputs, report: Report) -> SkinResult:
     splats = prepare_splats(job)
     cameras = guidance_cameras(job, splats.cloud)
     subset = learning_subset(job, splats, cameras)
-    proxy = Proxy.load(job.folder / job.settings.mesh, job.cloud)
+    proxy = Proxy.load(job.folder / job.settings.mesh, job.cloud, edges_only=job.settings.edges_only)
     eta.record("splats")
     images, masks = rest_pictures(subset.cloud, cameras)
     poser = None

@@ -27,14 +27,16 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class Proxy:
-    """verts (V, 3) and faces (F, 3) in unit size, and the anchors of all splats on them."""
+    """verts (V, 3) and faces (F, 3) in unit size, and the anchors of all splats on them; edges_only: see
+    `vertex_maps.rest_rings`."""
 
     verts: Array
     faces: Array
     anchors: Anchors
+    edges_only: bool = False
 
     @classmethod
-    def load(cls, path: Path, cloud: SplatCloud) -> Proxy:
+    def load(cls, path: Path, cloud: SplatCloud, *, edges_only: bool = False) -> Proxy:
         """The mesh file at `path`, in the world of `cloud` (as the job has it).
 
         Raises:
@@ -46,7 +48,7 @@ class Proxy:
         means = (cloud.means - centre) / diagonal
         anchors = anchor_splats(means, verts, faces, label=f"'{path}'")
         check_fit(anchors, means, verts, faces, f"'{path}'")
-        return cls(verts, faces, anchors)
+        return cls(verts, faces, anchors, edges_only)
 
     def initial(
         self,
@@ -83,8 +85,12 @@ class Proxy:
 
     def poser(self, subset: SplatSubset, neighbours: int = NEIGHBOURS) -> AnchoredPoser:
         """The poser of the splats that are optimised; neighbours: of each vertex, for ARAP."""
-        return AnchoredPoser(subset.cloud, self.anchors.select(subset.index), self.verts, self.faces, neighbours)
+        anchors = self.anchors.select(subset.index)
+        return AnchoredPoser(
+            subset.cloud, anchors, self.verts, self.faces, neighbours, edges_only=self.edges_only
+        )
 
     def summary(self) -> dict[str, float]:
         """Numbers for the report; distances in parts of the object's size."""
-        return {"vertices": len(self.verts), "faces": len(self.faces), **self.anchors.summary()}
+        counts = {"vertices": len(self.verts), "faces": len(self.faces), "edges_only": self.edges_only}
+        return {**counts, **self.anchors.summary()}

@@ -17,13 +17,11 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..files import write_text
 from ..splats.axes import up_rotation
+from .joint_lines import LARGEST, JointLines, numbered_lines
 from .skeleton import Skeleton, parents_first
 from .weights_file import WeightsFile
 
 Array = NDArray[Any]
-
-_LARGEST = 512 << 20
-"""Bytes of a file that are read, and of the weights that it may unpack to times 4."""
 
 
 def read_rignet(path: Path) -> WeightsFile:
@@ -35,17 +33,9 @@ def read_rignet(path: Path) -> WeightsFile:
         InputError: missing, no such file, a joint or vertex that does not exist or comes twice, a circle in the tree,
             a vertex without weights.
     """
-    if not path.is_file():
-        raise InputError(f"'{path}' does not exist; check the path of the rig.")
-    if path.stat().st_size > _LARGEST:
-        raise InputError(f"'{path}' has {path.stat().st_size >> 20:,} MB, more than rigs have; choose another file.")
     lines = _Lines(path)
-    try:
-        with path.open(encoding="utf-8", errors="strict") as file:
-            for number, line in enumerate(file, 1):
-                lines.take(number, line.split())
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"'{path}' is no text of a rig ({error}); choose a file as RigNet writes it.") from None
+    for number, words in numbered_lines(path):
+        lines.take(number, words)
     return lines.finish()
 
 
@@ -54,9 +44,7 @@ class _Lines:
     """What the lines said so far."""
 
     path: Path
-    joints: dict[str, tuple[float, float, float]] = field(default_factory=dict)
-    parents: dict[str, str] = field(default_factory=dict)
-    roots: list[str] = field(default_factory=list)
+    tree: JointLines = field(default_factory=JointLines)
     rows: list[int] = field(default_factory=list)
     columns: list[str] = field(default_factory=list)
     values: list[float] = field(default_factory=list)
@@ -68,19 +56,9 @@ class _Lines:
             return
         kind, *rest = words
         try:
-            if kind == "joints" and len(rest) == 4:
-                if rest[0] in self.joints:
-                    raise ValueError(f"the joint '{rest[0]}' comes twice")
-                self.joints[rest[0]] = (float(rest[1]), float(rest[2]), float(rest[3]))
-            elif kind == "root" and len(rest) == 1:
-                self.roots.append(rest[0])
-            elif kind == "hier" and len(rest) == 2:
-                if rest[1] in self.parents:
-                    raise ValueError(f"the joint '{rest[1]}' has two parents")
-                self.parents[rest[1]] = rest[0]
-            elif kind == "skin" and rest and len(rest) % 2:
+            if kind == "skin" and rest and len(rest) % 2:
                 self._skin(int(rest[0]), rest[1::2], [float(value) for value in rest[2::2]])
-            else:
+            elif not self.tree.take(words):
                 raise ValueError(f"'{' '.join(words)[:40]}' is no line of a rig")
         except ValueError as error:
             raise InputError(
@@ -101,25 +79,26 @@ class _Lines:
 
     def finish(self) -> WeightsFile:
         """All of it, checked."""
-        if not self.joints:
+        joints = self.tree.joints
+        if not joints:
             raise self._wrong("it has no joints")
-        place = {name: number for number, name in enumerate(self.joints)}
-        for name in (*self.roots, *self.parents, *self.parents.values(), *dict.fromkeys(self.columns)):
-            if name not in place:
-                raise self._wrong(f"there is no joint '{name:.60}'")
-        parents = np.array([place[self.parents[name]] if name in self.parents else -1 for name in self.joints])
+        unknown = self.tree.unknown(dict.fromkeys(self.columns))
+        if unknown is not None:
+            raise self._wrong(f"there is no joint '{unknown:.60}'")
+        place = {name: number for number, name in enumerate(joints)}
+        parents = np.array(self.tree.parent_numbers())
         try:
             order = parents_first(parents)
         except ValueError:
             raise self._wrong("its joints hang in a circle") from None
-        heads = np.array(list(self.joints.values()), np.float64)
+        heads = np.array(list(joints.values()), np.float64)
         if not np.isfinite(heads).all():
             raise self._wrong("a joint is not at a finite place")
         new = np.empty(len(order), np.int64)
         new[order] = np.arange(len(order))
         parents = np.where(parents[order] < 0, -1, new[parents[order]])
         heads = heads[order] @ up_rotation("y").T
-        names = tuple(np.array(list(self.joints), object)[order])
+        names = tuple(np.array(list(joints), object)[order])
         return WeightsFile(self._weights(new, place), names, heads, tails_of(parents, heads), parents)
 
     def _weights(self, new: Array, place: dict[str, int]) -> Array:
@@ -128,7 +107,7 @@ class _Lines:
             raise self._wrong("it has no skin weights")
         if len(set(self.vertices)) != count or max(self.vertices) != count - 1:
             raise self._wrong(f"its {count:,} skin lines are not one for each vertex from 0 to {count - 1:,}")
-        if 4 * count * len(place) > 4 * _LARGEST:
+        if count * len(place) > LARGEST:
             raise self._wrong(f"{count:,} vertices of {len(place):,} joints are more than fits in memory")
         weights = np.zeros((count, len(place)), np.float32)
         column = np.array([new[place[name]] for name in self.columns])

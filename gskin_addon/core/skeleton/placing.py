@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations, product
 from typing import Any
 
@@ -24,17 +24,23 @@ _FITS = 0.035
 _BETTER = 0.8
 """A guess must lower the misfit to this share of that of a simpler one."""
 
+_CLEARER, _ALIKE = 0.95, 1.15
+"""Turned about, a skeleton must lower the misfit to the first share to be taken so; up to the second times the misfit
+the other way is as likely."""
+
 
 @dataclass(frozen=True)
 class Placing:
     """x -> scale * rotation @ x + translation brings a skeleton into the splats; misfit: how badly it lies there, a
-    share of the diagonal; plain: the words for what was done, empty for nothing."""
+    share of the diagonal; plain: the words for what was done, empty for nothing; either_way: it lies there nearly as
+    well when turned about, front to back."""
 
     rotation: Array
     scale: float
     translation: Array
     misfit: float
     plain: str
+    either_way: bool = False
 
     @property
     def unsure(self) -> bool:
@@ -66,16 +72,13 @@ def guess_placing(skeleton: Skeleton, points: Array) -> Placing:
             best = found
         if best.misfit < _FITS:
             return best
-    fitted = [_into_box(bones @ turn.T, body) for turn in (np.eye(3), *_UP_TURNS)]
-    boxes = [(turn, *place) for turn, place in zip((np.eye(3), *_UP_TURNS), fitted, strict=True)]
-    found = _refined(body, bones, _best(body, bones, boxes, "turned and scaled into the splats"))
-    if found.misfit < _BETTER * best.misfit:
-        best = found
-    if best.misfit < _FITS:
-        return best
-    boxes = [(turn, *_into_box(bones @ turn.T, body)) for turn in _ALL_TURNS]
-    found = _refined(body, bones, _best(body, bones, boxes, "turned and scaled into the splats"))
-    return found if found.misfit < _BETTER * best.misfit else best
+    for turns in ((np.eye(3), *_UP_TURNS), _ALL_TURNS):
+        found = _into_body(body, bones, turns)
+        if found.misfit < _BETTER * best.misfit:
+            best = found
+        if best.misfit < _FITS:
+            break
+    return best
 
 
 @dataclass(frozen=True)
@@ -114,6 +117,22 @@ def _best(body: _Body, bones: Array, options: list[tuple[Array, float, Array]], 
     for turn, scale, shift in options:
         found.append(Placing(turn, scale, shift, body.misfit(scale * bones @ turn.T + shift), words))
     return min(found, key=lambda placing: placing.misfit)
+
+
+def _into_body(body: _Body, bones: Array, turns: tuple[Array, ...]) -> Placing:
+    """The best of these turns, scaled and moved into the splats.
+
+    Boxes hardly tell front from back. So the turn about the vertical is tried to the end, too, and taken where it lies
+    clearly better.
+    """
+    words = "turned and scaled into the splats"
+    boxes = [(turn, *_into_box(bones @ turn.T, body)) for turn in turns]
+    found = _refined(body, bones, _best(body, bones, boxes, words))
+    about = _ABOUT @ found.rotation
+    other = _refined(body, bones, _best(body, bones, [(about, *_into_box(bones @ about.T, body))], words))
+    if other.misfit < _CLEARER * found.misfit:
+        found, other = other, found
+    return replace(found, either_way=other.misfit < _ALIKE * found.misfit)
 
 
 def _into_box(bones: Array, body: _Body) -> tuple[float, Array]:
@@ -157,6 +176,8 @@ _UP_TURNS = (
     _turn((0, 1, 0), (-1, 0, 0), (0, 0, 1)),  # z up, looking along x
     _turn((0, -1, 0), (1, 0, 0), (0, 0, 1)),  # z up, looking along -x
 )
+
+_ABOUT = _turn((-1, 0, 0), (0, -1, 0), (0, 0, 1))
 
 _ALL_TURNS = tuple(
     turn

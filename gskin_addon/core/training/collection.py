@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 from numpy.typing import NDArray
 
@@ -106,8 +107,7 @@ def wanted_files(given: Sequence[Path], suffixes: Sequence[str], collection: Col
     found: dict[str, Wanted] = {}
     names = {name.lower() for name in known.values()}
     for path in paths:
-        with path.open("rb") as file:
-            digest = hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
+        digest = content_digest(path)
         if digest in found:
             continue
         name = known.get(digest, "")
@@ -117,6 +117,28 @@ def wanted_files(given: Sequence[Path], suffixes: Sequence[str], collection: Col
         names.add(name.lower())
         found[digest] = Wanted(path, name, digest)
     return list(found.values())
+
+
+def content_digest(path: Path) -> str:
+    """32 hexadecimal digits that stand for the content of a file, and of the files beside it that a .gltf names: two of
+    one skeleton may differ in nothing but a texture."""
+    whole = hashlib.blake2b(digest_size=16)
+    for part in (path, *(_parts_of(path) if path.suffix.lower() == ".gltf" else ())):
+        with part.open("rb") as file:
+            for block in iter(lambda: file.read(1 << 20), b""):
+                whole.update(block)
+    return whole.hexdigest()
+
+
+def _parts_of(path: Path) -> list[Path]:
+    """The buffers and pictures that a .gltf names and that are there."""
+    try:
+        table = json.loads(path.read_text(encoding="utf-8"))
+        entries = [*table.get("buffers", []), *table.get("images", [])]
+        names = [unquote(entry["uri"]) for entry in entries if isinstance(entry.get("uri"), str)]
+        return [part for name in names if not name.startswith("data:") and (part := path.parent / name).is_file()]
+    except (OSError, ValueError, AttributeError, TypeError, RecursionError):  # whatever the importer will say of it
+        return []
 
 
 def write_asset(folder: Path, name: str, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:

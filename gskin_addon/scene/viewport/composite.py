@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .drawing import Target
+from .marks import Marks
 from .shaders import composite_shader, gpu_state, square
 from .textures import image_texture
 
@@ -40,12 +41,12 @@ def overlay_in_front() -> NDArray[np.float32]:
 
 def lay_over(
     target: Target, *, outlined: Any = None, outline: tuple[float, float, float] | None = None, reach: int = 1,
-    overlay: NDArray[np.float32] | None = None,
+    overlay: NDArray[np.float32] | None = None, marks: Marks | None = None,
 ) -> None:  # fmt: skip
     """Draw the target over the view's framebuffer, decoded to linear colours, which Blender encodes again.
 
     outlined: the texture whose alpha is outlined in `outline` (linear), `reach` pixels wide; overlay: how much of
-    Blender's overlay stays (H, W).
+    Blender's overlay stays (H, W); marks: what Edit Mode has selected, drawn over the splats.
     """
     shader = composite_shader()
     x, y, _, _ = gpu_state.viewport_get()
@@ -59,6 +60,8 @@ def lay_over(
         shader.uniform_sampler("outlined", outlined or target.texture)
         kept = None if overlay is None else image_texture(overlay)
         shader.uniform_sampler("overlay", kept or target.texture)
+        shader.uniform_sampler("marks", target.texture if marks is None else marks.texture)
+        shader.uniform_float("mark_opacity", 0.0 if marks is None else marks.opacity)
         shader.uniform_float("outline_color", (*outline, 1.0) if outline else (0.0, 0.0, 0.0, 0.0))
         shader.uniform_float("corner_of_view", (x, y))
         shader.uniform_float("keep_overlay", 0.0 if overlay is None else 1.0)

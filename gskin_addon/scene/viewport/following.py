@@ -8,8 +8,9 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
+from ..overlay import follow_active_group
 from ..splat_object import is_splat_object
-from . import switch, view_state, visible
+from . import cages, selection, switch, view_state, visible
 from .handler import redraw
 
 CLASSES = ()
@@ -26,11 +27,13 @@ def follow(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
         obj = update.id.original if isinstance(update.id, bpy.types.Object) else None
         if obj is None or not is_splat_object(obj):
             continue
+        selection.changed(obj)
         if update.is_updated_geometry:
             visible.pose_changed(obj)
             if obj.data.session_uid in meshes:
                 visible.rest_changed(obj)
         switch.apply_to(obj)
+        follow_active_group(obj)
 
 
 @persistent
@@ -38,6 +41,7 @@ def start_over(*_: object) -> None:
     """After undo, redo or another file nothing that was kept is sure to be right."""
     view_state.forget()
     visible.forget()
+    cages.forget()
     if not bpy.app.background:
         switch.apply_to_all()
         redraw()
@@ -88,6 +92,13 @@ def register() -> None:
         default=True,
         update=_switched,
     )
+    scenes.gskin_show_in_paint = bpy.props.BoolProperty(
+        name="Show in Weight Paint",
+        description="In Weight Paint, too, give the splats the colours chosen under Show; off, or with Captured, "
+        "Blender's own colours of the active group's weights are seen on the fabric",
+        default=True,
+        update=_switched,
+    )
     if not bpy.app.background:
         # While add-ons register, the file cannot be changed.
         bpy.app.timers.register(_after_registering, first_interval=0.0)
@@ -99,4 +110,4 @@ def unregister() -> None:
     if hasattr(bpy.data, "objects"):  # not while Blender itself ends
         switch.give_ellipsoids_back()
     scenes: Any = bpy.types.Scene
-    del scenes.gskin_draw_splats
+    del scenes.gskin_draw_splats, scenes.gskin_show_in_paint

@@ -10,7 +10,8 @@ import bpy
 import gpu
 import numpy as np
 
-from . import composite, shaders, switch, view_state, visible
+from . import cages, composite, shaders, switch, view_state, visible
+from .marks import theme_look
 from .outline import outline_color, selected_objects
 from .shaders import gpu_state
 
@@ -53,8 +54,10 @@ def _draw(context: bpy.types.Context) -> None:
     if state.arrange(shown, view, projection, at_once=not on_screen) and not bpy.app.timers.is_registered(_look):
         bpy.app.timers.register(_look, first_interval=POLL)
     others = list(visible.others(context))
+    cages.remember_fabrics(shown)
+    edited = cages.edited_cages(context, shown)
     depths = None
-    if _tells_depth(context.space_data) and any(not obj.show_in_front for obj in others):
+    if not edited and _tells_depth(context.space_data) and any(not obj.show_in_front for obj in others):
         depths = composite.view_depths()
     state.draw(shown, view, projection, size, depths)
     taken = selected_objects(context, shown)
@@ -63,6 +66,12 @@ def _draw(context: bpy.types.Context) -> None:
         outlined = state.selected(shown, taken, view, projection)
         color = outline_color(context, [one.obj for one, here in zip(shown, taken, strict=True) if here])
     overlay = None
+    if edited:
+        # Neither what stands before the splats nor bones in front can be told from the cage that Blender draws.
+        through = is_xray(context.space_data)
+        marks = state.marked(edited, view, projection, theme_look(context), through=through)
+        composite.lay_over(state.target, marks=marks)
+        return
     if _has_overlays(context.space_data) and any(obj.show_in_front for obj in others):
         overlay = composite.overlay_in_front()
     width = max(1, round(context.preferences.system.pixel_size))
@@ -78,10 +87,15 @@ def _tells_depth(space: Any) -> bool:
     Material Preview and Rendered give depths to overlays only."""
     if not isinstance(space, bpy.types.SpaceView3D):
         return True
+    return not is_xray(space) and (space.shading.type in {"SOLID", "WIREFRAME"} or space.overlay.show_overlays)
+
+
+def is_xray(space: Any) -> bool:
+    """Whether a view shows, and selects, what is behind."""
+    if not isinstance(space, bpy.types.SpaceView3D):
+        return False
     shading = space.shading
-    if shading.type in {"SOLID", "WIREFRAME"}:
-        return not (shading.show_xray if shading.type == "SOLID" else shading.show_xray_wireframe)
-    return space.overlay.show_overlays
+    return bool({"SOLID": shading.show_xray, "WIREFRAME": shading.show_xray_wireframe}.get(shading.type, False))
 
 
 def _look() -> float | None:
@@ -127,4 +141,5 @@ def unregister() -> None:
             bpy.app.timers.unregister(timer)
     view_state.forget()
     visible.forget()
+    cages.forget()
     shaders.forget()

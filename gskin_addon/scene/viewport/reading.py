@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import bpy
@@ -24,9 +24,13 @@ _BACK = np.array([1, -1, -1, -1], np.float32)
 
 @dataclass(frozen=True)
 class RestSplats:
-    """What no pose changes, as the mesh itself has it: rotations (N, 4), sh (N, K, 3), opacities (N,), and chosen, the
-    index of the splats drawn (None: all of them)."""
+    """What no pose changes, as the mesh itself has it.
 
+    base (N, 4): constant colour and opacity; rotations (N, 4); chosen: index (M,) of the splats drawn, None for all of
+    them; of these sh (M, K, 3) and opacities (M,).
+    """
+
+    base: Array
     rotations: Array
     sh: Array
     opacities: Array
@@ -36,6 +40,10 @@ class RestSplats:
     def count(self) -> int:
         """The number of splats, drawn or not."""
         return len(self.rotations)
+
+    def is_same(self, other: RestSplats) -> bool:
+        """Whether the same is drawn of both."""
+        return _same_arrays(self, other)
 
 
 def drawn_limit(obj: bpy.types.Object) -> int:
@@ -61,19 +69,53 @@ def read_rest(obj: bpy.types.Object, limit: int) -> RestSplats | None:
     chosen = largest(scales, opacities, limit)
     part = slice(None) if chosen is None else chosen
     sh = np.stack([band[part] for band in bands], axis=1)
-    return RestSplats(rotations, sh, opacities[part], chosen)
+    return RestSplats(base, rotations, sh, opacities[part], chosen)
 
 
-def read_posed(evaluated: bpy.types.Object, rest: RestSplats, limit: int) -> DrawnSplats | None:
+def read_edited_rest(evaluated: bpy.types.Object, known: RestSplats | None, limit: int) -> RestSplats | None:
+    """The rest splats of an object in Edit Mode, whose own mesh cannot be read: those `known` from before if they are
+    still there, else what its evaluated points tell, which is the colour of no direction; None as `read_posed`."""
+    given = _given(evaluated)
+    if given is None:
+        return None
+    base, rotations, scales = (read_attribute(given[0], name) for name in (names.BASE, names.ROTATION, names.SCALE))
+    base, rotations, scales = base[: given[1]], rotations[: given[1]], scales[: given[1]]
+    if known is not None and np.array_equal(base, known.base):
+        return known
+    opacities = np.clip(base[:, 3], 0.0, 1.0)
+    chosen = largest(scales, opacities, limit)
+    part = slice(None) if chosen is None else chosen
+    return RestSplats(base, rotations, base[part, None, :3], opacities[part], chosen)
+
+
+def posed_positions(evaluated: bpy.types.Object) -> Array | None:
+    """(N, 3) where all splats of an evaluated object are, drawn or not, in its own space; None as `read_posed`."""
+    given = _given(evaluated)
+    return None if given is None else read_positions(given[0])[: given[1]]
+
+
+def _given(evaluated: bpy.types.Object) -> tuple[Any, int] | None:
+    """The mesh that an evaluated object's display gives the shader, and its number of splats."""
+    mesh: Any = evaluated.data
+    count = len(mesh.vertices) - EXTRA_POINTS
+    named = {attribute.name for attribute in mesh.attributes}
+    whole = {names.BASE, names.ROTATION, names.SCALE} <= named and len(mesh.edges) == 1 and count >= 0
+    return (mesh, count) if whole else None
+
+
+def read_posed(
+    evaluated: bpy.types.Object, rest: RestSplats, limit: int, hidden: NDArray[np.bool_] | None = None
+) -> DrawnSplats | None:
     """The splats of an evaluated object; None where its display gives no points for the shader (yet).
 
-    Where modifiers of other people have left out or added splats, they have the colour of no direction.
+    Where modifiers of other people have left out or added splats, they have the colour of no direction. hidden (N,):
+    splats that are not to be seen.
     """
-    mesh: Any = evaluated.data
-    rotations, scales = (read_attribute(mesh, name) for name in (names.ROTATION, names.SCALE))
-    count = len(mesh.vertices) - EXTRA_POINTS
-    if rotations is None or scales is None or len(mesh.edges) != 1 or count < 0:
+    given = _given(evaluated)
+    if given is None:
         return None
+    mesh, count = given
+    rotations, scales = (read_attribute(mesh, name) for name in (names.ROTATION, names.SCALE))
     points, rotations, scales = read_positions(mesh)[:count], rotations[:count], scales[:count]
     scales = np.maximum(scales * np.float32(get_input(find_display(evaluated), "Size")), np.float32(0.0))
     turns, special = read_attribute(mesh, names.TURN), read_attribute(mesh, names.COLOR)
@@ -92,7 +134,23 @@ def read_posed(evaluated: bpy.types.Object, rest: RestSplats, limit: int) -> Dra
     else:
         turns = quat_multiply(rotations[chosen], rest.rotations[chosen] * _BACK).astype(np.float32)
     colors = None if colors is None else colors[chosen]
-    return DrawnSplats(points[chosen], rotations[chosen], scales[chosen], rest.opacities, rest.sh, turns, colors)
+    opacities = rest.opacities
+    if hidden is not None and len(hidden) == count:
+        opacities = np.where(hidden[chosen], np.float32(0.0), opacities)
+    return DrawnSplats(points[chosen], rotations[chosen], scales[chosen], opacities, rest.sh, turns, colors)
+
+
+def is_same(one: DrawnSplats, other: DrawnSplats) -> bool:
+    """Whether both are drawn the same, but for the matrix."""
+    return _same_arrays(replace(one, matrix=other.matrix), other)
+
+
+def _same_arrays(one: Any, other: Any) -> bool:
+    for field in fields(one):
+        mine, others = getattr(one, field.name), getattr(other, field.name)
+        if mine is not others and (mine is None or others is None or not np.array_equal(mine, others)):
+            return False
+    return True
 
 
 def _encoded(linear: Array) -> Array:

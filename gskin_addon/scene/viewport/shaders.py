@@ -102,6 +102,51 @@ void main() {
 }
 """
 
+# A stroke of round ends from one place to another; a dot where they are the same.
+_MARK_VERTEX = """
+ivec2 place_of(int i) { return ivec2(i % ROW_WIDTH, i / ROW_WIDTH); }
+
+void main() {
+  int first = 3 * gl_InstanceID;
+  vec4 a = texelFetch(strokes, place_of(first), 0);
+  vec4 b = texelFetch(strokes, place_of(first + 1), 0);
+  ends = vec4((0.5 * a.xy + 0.5) * size, (0.5 * b.xy + 0.5) * size);
+  vec2 along = ends.zw - ends.xy;
+  vec2 forward = length(along) > 1e-3 ? normalize(along) : vec2(1.0, 0.0);
+  float reach = a.w + 1.0;
+  at = (side.x < 0.0 ? ends.xy : ends.zw) + reach * (side.x * forward + side.y * vec2(-forward.y, forward.x));
+  tint = vec4(texelFetch(strokes, place_of(first + 2), 0).rgb, a.w);
+  rim = b.w;
+  gl_Position = vec4(2.0 * at / size - 1.0, side.x < 0.0 ? a.z : b.z, 1.0);
+}
+"""
+
+_MARK_FRAGMENT = """
+void main() {
+  vec2 along = ends.zw - ends.xy;
+  float share = clamp(dot(at - ends.xy, along) / max(dot(along, along), 1e-6), 0.0, 1.0);
+  float away = distance(at, ends.xy + share * along);
+  float cover = clamp(tint.a + 0.5 - away, 0.0, 1.0);
+  if (cover <= 0.0) {
+    discard;
+  }
+  float inside = rim > 0.5 ? clamp(tint.a - 0.5 - away, 0.0, 1.0) : 1.0;
+  fragColor = vec4(tint.rgb * inside * cover, cover);
+}
+"""
+
+_OCCLUDER_VERTEX = """
+void main() {
+  gl_Position = to_clip * vec4(point, 1.0);
+}
+"""
+
+_OCCLUDER_FRAGMENT = """
+void main() {
+  fragColor = vec4(0.0);
+}
+"""
+
 _SCREEN_VERTEX = """
 void main() {
   gl_Position = vec4(side, 0.0, 1.0);
@@ -122,6 +167,10 @@ void main() {
   ivec2 at = ivec2(gl_FragCoord.xy) - ivec2(corner_of_view);
   float kept = keep_overlay > 0.5 ? texelFetch(overlay, at, 0).r : 0.0;
   vec4 c = texelFetch(drawn, at, 0);
+  if (mark_opacity > 0.0) {
+    vec4 m = texelFetch(marks, at, 0) * mark_opacity;
+    c = m + c * (1.0 - m.a);
+  }
   vec3 color = vec3(0.0);
   if (c.a > 0.0) {
     vec3 srgb = clamp(c.rgb / c.a, 0.0, 1.0);
@@ -178,8 +227,9 @@ def splat_shader(*, behind_others: bool) -> Any:
 def composite_shader() -> Any:
     """Lays a drawn target over the view, decoded to linear colours, with an outline where `outlined` ends."""
     info = gpu_types.GPUShaderCreateInfo()
-    for slot, name in enumerate(("drawn", "outlined", "overlay")):
+    for slot, name in enumerate(("drawn", "outlined", "overlay", "marks")):
         info.sampler(slot, "FLOAT_2D", name)
+    info.push_constant("FLOAT", "mark_opacity")
     info.push_constant("VEC4", "outline_color")
     info.push_constant("VEC2", "corner_of_view")
     info.push_constant("FLOAT", "keep_overlay")
@@ -188,6 +238,38 @@ def composite_shader() -> Any:
     info.fragment_out(0, "VEC4", "fragColor")
     info.vertex_source(_SCREEN_VERTEX)
     info.fragment_source(_COMPOSITE_FRAGMENT)
+    return gpu.shader.create_from_info(info)
+
+
+@cache
+def mark_shader() -> Any:
+    """Draws one stroke per instance, see `marks.py`."""
+    info = gpu_types.GPUShaderCreateInfo()
+    between = gpu_types.GPUStageInterfaceInfo("gskin_mark")
+    between.smooth("VEC2", "at")
+    between.flat("VEC4", "ends")
+    between.flat("VEC4", "tint")
+    between.flat("FLOAT", "rim")
+    info.define("ROW_WIDTH", str(WIDTH))
+    info.sampler(0, "FLOAT_2D", "strokes")
+    info.push_constant("VEC2", "size")
+    info.vertex_in(0, "VEC2", "side")
+    info.vertex_out(between)
+    info.fragment_out(0, "VEC4", "fragColor")
+    info.vertex_source(_MARK_VERTEX)
+    info.fragment_source(_MARK_FRAGMENT)
+    return gpu.shader.create_from_info(info)
+
+
+@cache
+def occluder_shader() -> Any:
+    """Draws triangles in nothing, for their depths."""
+    info = gpu_types.GPUShaderCreateInfo()
+    info.push_constant("MAT4", "to_clip")
+    info.vertex_in(0, "VEC3", "point")
+    info.fragment_out(0, "VEC4", "fragColor")
+    info.vertex_source(_OCCLUDER_VERTEX)
+    info.fragment_source(_OCCLUDER_FRAGMENT)
     return gpu.shader.create_from_info(info)
 
 
@@ -203,5 +285,5 @@ def square() -> Any:
 
 def forget() -> None:
     """Give shaders and the square back, as when the add-on is turned off."""
-    for made in (splat_shader, composite_shader, square):
+    for made in (splat_shader, composite_shader, mark_shader, occluder_shader, square):
         made.cache_clear()

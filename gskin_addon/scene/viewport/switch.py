@@ -16,10 +16,15 @@ from ..display_inputs import BY_SHADER, NATIVE
 from ..native_nodes import has_native_splats
 from ..node_builder import get_input, has_input, set_input
 from ..node_groups import find_display
+from ..overlay import NONE, overlay_of
+from ..rotation_nodes import find_rotation
 from ..splat_object import is_splat_object
 
-OTHER_MODES = {"EDIT", "WEIGHT_PAINT", "VERTEX_PAINT", "TEXTURE_PAINT", "SCULPT"}
+OTHER_MODES = {"VERTEX_PAINT", "TEXTURE_PAINT", "SCULPT"}
 """Modes in which Blender itself needs or shows the mesh."""
+AT_WORK = {"EDIT", "WEIGHT_PAINT"}
+"""Modes in which Blender works on the mesh and the splats may be seen all the same: beside the points on its cage, or
+in place of its colours of weights."""
 
 _showed_engine = False
 """What `shows_engine` said when all displays were last looked at."""
@@ -37,6 +42,13 @@ def wanted(scene: bpy.types.Scene) -> bool:
     return not bpy.app.background and not failure and setting(scene)
 
 
+def shows_weight_colors(obj: bpy.types.Object) -> bool:
+    """Whether Weight Paint is left to Blender's own colours of the active group: nothing else is to be shown, or the
+    artist's choice in a scene of the object is that."""
+    chosen = all(getattr(scene, "gskin_show_in_paint", False) for scene in obj.users_scene)
+    return not chosen or overlay_of(obj) == NONE
+
+
 def can_be_drawn(obj: bpy.types.Object) -> bool:
     """Whether the shader can draw an object as it is now."""
     if not is_splat_object(obj) or obj.library is not None or obj.mode in OTHER_MODES:
@@ -44,7 +56,27 @@ def can_be_drawn(obj: bpy.types.Object) -> bool:
     modifier = find_display(obj)
     if modifier is None or not has_input(modifier, BY_SHADER) or not get_input(modifier, "Display"):
         return False
-    return not (is_native(modifier) and shows_engine())
+    if obj.mode == "WEIGHT_PAINT" and shows_weight_colors(obj):
+        return False
+    return obj.mode in AT_WORK or not (is_native(modifier) and shows_engine())
+
+
+def shows_overlay_in(obj: bpy.types.Object, mode: str) -> bool:
+    """Whether splats in other than captured colours would be seen in another mode of an object."""
+    scenes = obj.users_scene
+    painted = all(getattr(scene, "gskin_show_in_paint", False) for scene in scenes)
+    modes = {"OBJECT", "POSE", "EDIT"} | ({"WEIGHT_PAINT"} if painted else set())
+    modifier = find_display(obj)
+    return (
+        bool(scenes) and all(wanted(scene) for scene in scenes) and mode in modes and obj.library is None
+        and modifier is not None and has_input(modifier, BY_SHADER) and bool(get_input(modifier, "Display"))
+    )  # fmt: skip
+
+
+def shall_draw(obj: bpy.types.Object) -> bool:
+    """Whether the shader can draw an object, and is wanted in all scenes that have it."""
+    scenes = obj.users_scene
+    return bool(scenes) and all(wanted(scene) for scene in scenes) and can_be_drawn(obj)
 
 
 def is_native(modifier: bpy.types.NodesModifier) -> bool:
@@ -79,8 +111,14 @@ def is_drawn(obj: bpy.types.Object) -> bool:
 def set_drawn(obj: bpy.types.Object, drawn: bool) -> None:
     """Give an object over to the shader, or its ellipsoids back; nothing is touched where it is so already."""
     modifier = find_display(obj) if is_splat_object(obj) and obj.library is None else None
-    if modifier is not None and has_input(modifier, BY_SHADER) and bool(get_input(modifier, BY_SHADER)) != drawn:
+    if modifier is None or not has_input(modifier, BY_SHADER):
+        return
+    if bool(get_input(modifier, BY_SHADER)) != drawn:
         set_input(modifier, BY_SHADER, drawn)
+    # Bare points let Edit Mode's own be seen; ellipsoids would hide them. Set before, entering evaluates once.
+    for nodes in (modifier, find_rotation(obj)):
+        if nodes is not None and nodes.show_in_editmode != drawn:
+            nodes.show_in_editmode = drawn
 
 
 def splat_objects() -> Iterator[bpy.types.Object]:
@@ -90,8 +128,7 @@ def splat_objects() -> Iterator[bpy.types.Object]:
 
 def apply_to(obj: bpy.types.Object) -> None:
     """Bring one object's display in line with what is wanted."""
-    scenes = obj.users_scene
-    set_drawn(obj, bool(scenes) and all(wanted(scene) for scene in scenes) and can_be_drawn(obj))
+    set_drawn(obj, shall_draw(obj))
 
 
 def apply_to_all() -> None:

@@ -41,6 +41,11 @@ def splat_texture(parts: Sequence[tuple[NDArray[Any], Any]]) -> Any:
     return _texture(values, WIDTH, _rows(count), "RGBA32F")
 
 
+def texel_texture(texels: NDArray[Any]) -> Any:
+    """RGBA32F of texels (N, 4), `WIDTH` a row."""
+    return splat_texture([(texels, 0.0)])
+
+
 def order_texture(order: NDArray[Any]) -> Any:
     """R32F of an index (N,): float32 counts exactly to 16.7 million."""
     values = np.zeros(_rows(len(order)) * WIDTH, np.float32)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ...core.render.screen_space import is_orthographic
 from ...core.render.view_order import back_to_front, eye_of, view_colors, view_depths
 from .drawing import Target, draw_into, make_target
+from .marks import Cage, Look, Marks
 from .sorter import Sorter
 from .textures import PoseTextures, color_texture, image_texture, order_texture, pose_textures
 from .visible import Shown
@@ -37,6 +38,7 @@ class ViewState:
         self.target: Target | None = None
         self.drawn_for: Any = None
         self._selected: Target | None = None
+        self._marks: Marks | None = None
         self._selected_for: Any = None
         self._order: Any = None
         self._colors: Any = None
@@ -121,6 +123,14 @@ class ViewState:
             self._draw_into(self._selected, shown, order_texture(order), view, projection, len(order))
             self._selected_for = selected_for
         return self._selected.texture
+
+    def marked(self, cages: Sequence[Cage], view: Any, projection: Any, look: Look, *, through: bool) -> Marks:
+        """The marks of Edit Mode, up to date; call `draw` first."""
+        assert self.target is not None
+        if self._marks is None or self._marks.size != (self.target.width, self.target.height):
+            self._marks = Marks(self.target.width, self.target.height)
+        self._marks.draw(cages, view, projection, look, through=through)
+        return self._marks
 
     def _draw_into(
         self, target: Target, shown: Sequence[Shown], order: Any, view: Any, projection: Any, count: int | None = None

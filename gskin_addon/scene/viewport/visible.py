@@ -5,20 +5,36 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import bpy
 import numpy as np
 
 from ...core.render.drawn_splats import DrawnSplats
-from . import switch
-from .reading import RestSplats, drawn_limit, read_posed, read_rest
+from . import selection, switch
+from .reading import RestSplats, drawn_limit, is_same, read_edited_rest, read_posed, read_rest
+from .selection import hidden_splats
+
+T = TypeVar("T")
 
 _pose_version: dict[int, int] = {}
 """By session id of an object: rises with every change of its evaluated points."""
 _rest_version: dict[int, int] = {}
-_rest: dict[int, tuple[Any, RestSplats | None]] = {}
-_posed: dict[int, tuple[Any, DrawnSplats | None]] = {}
+_rest: dict[int, Known[RestSplats]] = {}
+_posed: dict[int, Known[DrawnSplats]] = {}
+
+
+@dataclass(frozen=True)
+class Known(Generic[T]):
+    """What was read last: for what state of the scene, by which name it is known to what is drawn of it, and itself.
+
+    Entering and leaving Edit Mode changes the state and not the splats: they keep the name, so that nothing is sorted
+    or drawn anew.
+    """
+
+    state: Any
+    name: Any
+    read: T | None
 
 
 @dataclass(frozen=True)
@@ -76,19 +92,30 @@ def _instances(context: bpy.types.Context) -> list[Shown | None]:
 def _read(obj: bpy.types.Object, context: bpy.types.Context) -> Shown | None:
     evaluated, uid = obj.evaluated_get(context.view_layer.depsgraph), obj.session_uid
     limit = drawn_limit(evaluated)
-    rest_key = (uid, obj.data.session_uid, _rest_version.get(uid, 0), len(obj.data.vertices), limit)
-    if uid not in _rest or _rest[uid][0] != rest_key:
-        _rest[uid] = rest_key, read_rest(obj, limit)
-    rest = _rest[uid][1]
-    if rest is None:
+    before = _rest.get(uid)
+    state = (uid, obj.data.session_uid, _rest_version.get(uid, 0), len(obj.data.vertices), limit, obj.mode == "EDIT")
+    if before is None or before.state != state:
+        if obj.mode == "EDIT":
+            rest = read_edited_rest(evaluated, before.read if before and before.state[-2] == limit else None, limit)
+        else:
+            rest = read_rest(obj, limit)
+        same = before is not None and before.read is not None and rest is not None and before.read.is_same(rest)
+        _rest[uid] = Known(state, before.name, before.read) if same and before else Known(state, state, rest)
+    known = _rest[uid]
+    if known.read is None:
         return None
-    key = (rest_key, _pose_version.get(uid, 0), context.scene.session_uid, context.view_layer.name)
-    if uid not in _posed or _posed[uid][0] != key or _posed[uid][1] is None:
-        _posed[uid] = key, read_posed(evaluated, rest, limit)
-    splats = _posed[uid][1]
-    if splats is None or splats.count == 0:
+    hidden, what_hides = hidden_splats(obj)
+    state = (known.name, what_hides, _pose_version.get(uid, 0), context.scene.session_uid, context.view_layer.name)
+    last = _posed.get(uid)
+    if last is None or last.state != state or last.read is None:
+        splats = read_posed(evaluated, known.read, limit, hidden)
+        same = last is not None and last.read is not None and splats is not None and is_same(last.read, splats)
+        _posed[uid] = Known(state, last.name, last.read) if same and last else Known(state, state, splats)
+    posed = _posed[uid]
+    if posed.read is None or posed.read.count == 0:
         return None
-    return Shown(obj, rest_key, key, replace(splats, matrix=np.array(evaluated.matrix_world, np.float64)))
+    matrix = np.array(evaluated.matrix_world, np.float64)
+    return Shown(obj, (known.name, what_hides), posed.name, replace(posed.read, matrix=matrix))
 
 
 def others(context: bpy.types.Context) -> Iterator[bpy.types.Object]:
@@ -108,9 +135,16 @@ def rest_changed(obj: bpy.types.Object) -> None:
 
 
 def forget() -> None:
-    """Have everything read again. Versions go on rising, so that no key of before comes back."""
-    _rest.clear()
-    _posed.clear()
+    """Have everything read again. Versions go on rising, so that no key of before comes back.
+
+    What Edit Mode keeps from being read is compared with what is known of it.
+    """
+    edited = {obj.session_uid for obj in bpy.data.objects if obj.mode == "EDIT"}
+    for known in (_rest, _posed):
+        for uid in [*known]:
+            if uid not in edited:
+                del known[uid]
+    selection.forget()
     for versions in (_pose_version, _rest_version):
         for uid in versions:
             versions[uid] += 1

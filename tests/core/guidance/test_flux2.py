@@ -14,6 +14,7 @@ pytest.importorskip("diffusers")
 pytest.importorskip("peft")
 
 import torch
+from PIL import Image
 from safetensors.torch import load_file, save_file
 from tiny_flux import save_tiny_flux
 
@@ -25,8 +26,11 @@ from gskin_addon.core.guidance.flux2 import LORA, Flux2Painter, references
 from gskin_addon.core.guidance.options import Flux2Options, check_models, check_options
 from gskin_addon.core.guidance.provider import GuidanceContext, to_bytes
 from gskin_addon.core.guidance.skeleton_image import draw_bones, project_bones
+from gskin_addon.core.pipeline import run as job
+from gskin_addon.core.pipeline import steps
 from gskin_addon.core.render.camera import paper_views
 from gskin_addon.core.render.rasterizer import render_cloud
+from gskin_addon.core.skinning import presets
 from gskin_addon.core.training.guidance.flux2_options import Flux2TuneOptions
 from gskin_addon.core.training.guidance.flux2_tune import trained_parameters, write_lora
 from tests.helpers.limb import make_limb
@@ -197,6 +201,26 @@ def test_the_provider_makes_images_and_goes_on_after_a_stop(context, signals, pa
 def test_a_lora_changes_the_pictures(model, painter, lora, frames):
     tuned = Flux2Painter(model, Flux2Options(model=str(model), device="cpu", lora=str(lora), steps=2))
     assert np.abs(paint(tuned, frames[:1]) - paint(painter, frames[:1])).max() > 1e-3
+
+
+def test_whole_jobs_with_and_without_a_lora(model, lora, tmp_path, monkeypatch):
+    monkeypatch.setitem(presets.PRESETS, "draft", presets.Preset("for tests", 1, ((64, 6),), 2, held_out=0))
+    monkeypatch.setattr(steps, "GUIDANCE_SIZE", 64)
+    limb, pictures = make_limb(400), []
+    for name, more in (("plain", {}), ("tuned", {"lora": str(lora)})):
+        folder, told = tmp_path / name, []
+        folder.mkdir()
+        options = {"model": str(model), "device": "cpu", "steps": 2, **more}
+        settings = {"preset": "draft", "guidance": "flux2", "options": options}
+        outcome = job.run(limb.cloud, limb.skeleton, settings, lambda *what, told=told: told.append(what), folder)
+        assert outcome.weights.shape == limb.weights.shape
+        np.testing.assert_allclose(outcome.weights.sum(1), 1, atol=1e-5)
+        assert outcome.report["guidance_images"] == 4
+        assert any(message == "Loading FLUX.2 [klein]" for _, _, _, message, *_ in told)
+        made = sorted((folder / "guidance").glob("*.png"))
+        assert len(made) == 4
+        pictures.append({np.asarray(Image.open(path)).tobytes() for path in made})
+    assert not pictures[0] & pictures[1], "the LoRA changes every picture"
 
 
 # --- what is refused

@@ -45,6 +45,7 @@ WHOLE = {
     "field": "volume",
     "field_options": {"resolution": 16, "width": 8, "start": "fit", "fit_steps": 3},
     "mesh": "mesh-0123456789abcdef.npz",
+    "edges_only": True,
     "hygiene": {"ignore_strays": False, "max_aspect": 4.5},
     "losses": {"arap": 0.5, "dssim": 0.1, "arap_nodes": 3},
     "scope": "scope-0123456789abcdef.npz",

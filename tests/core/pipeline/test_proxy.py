@@ -3,18 +3,22 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 from proxy_meshes import tube
 
 from gskin_addon.core.errors import InputError
 from gskin_addon.core.job.contract import read_job, write_job, write_result
 from gskin_addon.core.job.mesh_files import read_mesh, write_mesh
 from gskin_addon.core.pipeline import steps
+from gskin_addon.core.pipeline.proxy import Proxy
 from gskin_addon.core.pipeline.run import run
 from gskin_addon.core.rig.kinematics import pose_transforms
 from gskin_addon.core.rig.lbs import skin_points
 from gskin_addon.core.rig.poses import random_poses
 from gskin_addon.core.rig.weights_file import read_weights_file, write_weights_file
 from gskin_addon.core.skinning import presets
+from gskin_addon.core.skinning.posers import AnchoredPoser
+from gskin_addon.core.skinning.subset import SplatSubset
 from tests.helpers.limb import make_limb
 
 TINY = presets.Preset("for tests", 4, ((64, 6), (128, 10)), 4)
@@ -49,6 +53,25 @@ def test_a_job_with_a_mesh_learns_on_its_vertices(tmp_path, monkeypatch):
     assert np.linalg.norm(moved[0] - moved[1], axis=-1).mean() < 0.05
     write_result(job, outcome.weights, outcome.report, outcome.previews, outcome.mesh_weights)
     np.testing.assert_array_equal(read_weights_file(folder / "weights.npz").mesh_weights, outcome.mesh_weights)
+
+
+def test_edges_only_is_what_the_poser_learns_with(tmp_path):
+    limb = make_limb(300)
+    verts, faces = tube(rings=13)
+    path = tmp_path / write_mesh(tmp_path, verts, faces)
+    rng = np.random.default_rng(0)
+    for edges_only in (False, True):
+        proxy = Proxy.load(path, limb.cloud, edges_only=edges_only)
+        subset = SplatSubset(np.arange(300), limb.cloud, limb.cloud)
+        poser = proxy.poser(subset)
+        own = AnchoredPoser(limb.cloud, proxy.anchors, proxy.verts, proxy.faces, edges_only=edges_only)
+        other = AnchoredPoser(limb.cloud, proxy.anchors, proxy.verts, proxy.faces, edges_only=not edges_only)
+        weights = torch.from_numpy(rng.dirichlet(np.ones(3), len(verts)).astype(np.float32))
+        pose = pose_transforms(limb.skeleton, random_poses(limb.skeleton, (0, 1, 0), 2, rng)).astype(np.float32)
+        quats = [each.pose(weights, pose).quats.numpy() for each in (poser, own, other)]
+        np.testing.assert_array_equal(quats[0], quats[1])
+        assert np.abs(quats[0] - quats[2]).max() > 1e-3
+        assert proxy.summary()["edges_only"] is edges_only
 
 
 def test_weights_files_without_a_mesh_have_none_and_bad_ones_are_refused(tmp_path):

@@ -177,3 +177,24 @@ def test_axes_unit_and_place_are_guessed(turn, scale, shift):
     assert off < 0.03, placing
     assert not placing.unsure
     assert (placing.plain == "") == np.array_equal(turn, np.eye(3))
+
+
+def test_what_is_alike_from_front_and_back_is_said():
+    """A bar on a post, turned by a right angle and scaled: nothing tells its front from its back."""
+    rng = np.random.default_rng(3)
+    post = rng.uniform((-0.1, -0.1, 0), (0.1, 0.1, 1.6), (800, 3))
+    bar = rng.uniform((-0.8, -0.1, 1.4), (0.8, 0.1, 1.6), (800, 3))
+    heads = np.array([[0, 0, 0.1], [0, 0, 1.5], [0.7, 0, 1.5], [-0.7, 0, 1.5]], float)
+    skeleton = Skeleton(("a", "b", "c", "d"), np.array([-1, 0, 1, 1]), heads, heads + (0, 0, 0.1))
+    turn = np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1.0]])
+    points = np.concatenate([post, bar]) @ turn.T * 2.5
+    placing = guess_placing(skeleton, points)
+    assert placing.either_way
+    # A nose tells it.
+    nose = rng.uniform((-0.1, -1.2, 0.4), (0.1, 0, 0.6), (800, 3))
+    longer = np.concatenate([heads, [[0, 0, 0.5], [0, -1.1, 0.5]]])
+    skeleton = Skeleton((*"abcdef",), np.array([-1, 0, 1, 1, 0, 4]), longer, longer + (0, 0, 0.1))
+    points = np.concatenate([post, bar, nose]) @ turn.T * 2.5
+    placing = guess_placing(skeleton, points)
+    assert not placing.either_way
+    np.testing.assert_allclose(placing.of(skeleton).heads, longer @ turn.T * 2.5, atol=0.3)

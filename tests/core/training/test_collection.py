@@ -88,3 +88,19 @@ def test_what_cannot_be_read_is_named(tmp_path):
         put(tmp_path / "bad/catalog.json", text)
         with pytest.raises(InputError, match=r"bad/catalog.json'.*choose another --out"):
             Collection(tmp_path / "bad")
+
+
+def test_a_gltf_is_its_buffers_and_pictures_too(tmp_path):
+    """Two of one skeleton whose files differ in nothing but a texture are two models."""
+    table = json.dumps({"buffers": [{"uri": "model.bin"}], "images": [{"uri": "a%20skin.png"}, {"uri": "data:,x"}, {}]})
+    for folder, skin in (("red", "r"), ("blue", "b"), ("copy", "r")):
+        for name, text in (("model.gltf", table), ("model.bin", "bones"), ("a skin.png", skin)):
+            put(tmp_path / folder / name, text)
+    put(tmp_path / "lost/model.gltf", table)  # no buffer: its failure is listed, not taken for a copy
+    for number, broken in enumerate(("{", "[]", '{"buffers": 3, "images": [4]}')):
+        put(tmp_path / f"broken/{number}.gltf", broken)
+    files = wanted_files([tmp_path], (".gltf",), Collection(tmp_path / "out"))
+    assert [file.path.parent.name for file in files] == ["blue", *["broken"] * 3, "copy", "lost"]
+    put(tmp_path / "blue/model.bin", "others")
+    (changed,) = wanted_files([tmp_path / "blue"], (".gltf",), Collection(tmp_path / "out"))
+    assert changed.digest != files[0].digest

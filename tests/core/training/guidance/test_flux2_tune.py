@@ -23,11 +23,15 @@ from gskin_addon.core.errors import Cancelled, InputError
 from gskin_addon.core.files import read_arrays
 from gskin_addon.core.guidance.flux2 import LORA, Flux2Painter
 from gskin_addon.core.guidance.options import Flux2Options
+from gskin_addon.core.pipeline import run as job
+from gskin_addon.core.pipeline import steps
+from gskin_addon.core.skinning import presets
 from gskin_addon.core.training.guidance import flux2_tune
 from gskin_addon.core.training.guidance.flux2_options import Flux2TuneOptions
 from gskin_addon.core.training.guidance.flux2_tune import flow_loss, trained_parameters, tune
 from gskin_addon.core.training.guidance.pairs import PairDataset
 from gskin_addon.core.training.guidance.validate import validate
+from tests.helpers.limb import make_limb
 from tests.helpers.tiny_training import write_pairs
 
 
@@ -42,6 +46,10 @@ def model(tmp_path_factory):
 
 
 def silent(_done, _message):
+    return None
+
+
+def silent_job(*_):
     return None
 
 
@@ -93,6 +101,24 @@ def test_a_pair_is_learned_and_the_guidance_takes_the_lora(pairs, model, tmp_pat
     tune(pairs, tmp_path / "more", more, silent)
     for key, value in load_file(tmp_path / "more" / LORA).items():
         torch.testing.assert_close(value, load_file(out / LORA)[key], rtol=0, atol=0)
+
+
+def test_what_the_command_trains_is_what_a_job_takes(pairs, model, tmp_path, monkeypatch, capsys):
+    out = tmp_path / "tuned"
+    words = ["train-guidance", "tune", str(pairs), "--model", "flux2", "--out", str(out), "--progress", "none"]
+    values = {"model": str(model), "rank": 4, "batch": 1, "updates": 3, "learning_rate": 0.05, "steps": 2}
+    for name, value in values.items():
+        words += ["--option", f"{name}={value}"]
+    assert cli.main(words) == 0, capsys.readouterr().err
+    assert (out / LORA).is_file()
+    monkeypatch.setitem(presets.PRESETS, "draft", presets.Preset("for tests", 1, ((64, 4),), 2, held_out=0))
+    monkeypatch.setattr(steps, "GUIDANCE_SIZE", 64)
+    limb = make_limb(300)
+    options = {"model": str(model), "lora": str(out), "device": "cpu", "steps": 1}
+    settings = {"preset": "draft", "guidance": "flux2", "options": options}
+    outcome = job.run(limb.cloud, limb.skeleton, settings, silent_job, tmp_path)
+    assert outcome.report["guidance_images"] == 4
+    np.testing.assert_allclose(outcome.weights.sum(1), 1, atol=1e-5)
 
 
 def test_a_stopped_training_ends_as_one_that_was_not(pairs, model, tmp_path):
