@@ -29,14 +29,12 @@ WAYS = [
 
 class SelectSplats(SlicedClick):
     """Mixin of an operator: `find` says which splats, here they are selected. In Weight Paint with its vertex
-    selection, else in Edit Mode, which is not left where it is open, unless the operator needs that."""
+    selection, else in Edit Mode, which is not left where it is open."""
 
     bl_options = {"REGISTER", "UNDO"}
 
     mode: bpy.props.EnumProperty(name="Mode", description="What becomes of what is selected", items=WAYS)
 
-    leaves_edit_mode = False
-    """Whether `find` needs what only Object Mode tells."""
     active: int | None = None
     """The splat that was clicked last in Edit Mode, while `find` runs."""
 
@@ -60,8 +58,8 @@ class SelectSplats(SlicedClick):
         splats = chosen_splats(context)
         mode = splats.mode
         self.active = active_splat(splats)
-        with at_hand(context, splats, leave=self.leaves_edit_mode) as there:
-            yield 0.0  # where Edit Mode is left Blender needs as long for that as to enter it
+        with at_hand(context, splats) as there:
+            yield 0.0
             before = selected_now(there)
             found = yield from part_of(self.find(context, there, before), 0.0, 1.0)
             after = combined(self.mode, before, found) & ~hidden_now(there)
@@ -75,14 +73,11 @@ class SelectSplats(SlicedClick):
         return "; ".join(filter(None, (said, self.words())))
 
 
-def at_hand(
-    context: bpy.types.Context, splats: bpy.types.Object, *, leave: bool = False
-) -> AbstractContextManager[bpy.types.Object]:
-    """A block in which the splats can be read: as they are, or a copy where they are edited (`stand_in.py`), or, with
-    `leave`, outside of Edit Mode."""
+def at_hand(context: bpy.types.Context, splats: bpy.types.Object) -> AbstractContextManager[bpy.types.Object]:
+    """A block in which the splats can be read: as they are, or where they are edited a copy (`stand_in.py`)."""
     if splats.mode == "WEIGHT_PAINT":
         return nullcontext(splats)
-    if splats.mode == "EDIT" and not leave:
+    if splats.mode == "EDIT":
         context.view_layer.objects.active = splats
         return readable(splats)
     return out_of_edit_mode(context, splats)

@@ -75,6 +75,7 @@ class WeightEdit(SlicedClick):
             selected = selected_splats(there) if chosen else None
             if selected is not None and not selected.any():
                 raise InputError(f"No splats of '{there.name}' are selected; select some in Edit Mode (Tab).")
+            yield 0.0
             return (yield from self.steps(context, splats, there, selected))
 
     def steps(

@@ -19,6 +19,7 @@ from ..scene.handlers import iter_settle
 from ..scene.overlay import show_moves_with
 from ..scene.selecting import active_splat, posed_points, selected_now
 from ..scene.steps import Steps
+from ..scene.viewport import switch
 from ..session.chosen import chosen_splats
 from ._sliced import Sliced
 
@@ -88,13 +89,18 @@ class GSKIN_OT_show_moves_with(Sliced, bpy.types.Operator):
         else:
             active = active_splat(splats)
             meant = None if active is None else np.array([active])
-        works = splats.mode in {"EDIT", "WEIGHT_PAINT"}  # there the fabric is seen, and no splats
-        with out_of_edit_mode(context, splats) if works else nullcontext():
+        mode = splats.mode
+        works = mode in {"EDIT", "WEIGHT_PAINT"}
+        seen = works and switch.shows_overlay_in(splats, mode)
+        leaves = mode == "EDIT" or (works and not seen)  # else the fabric is seen, and no splats
+        with out_of_edit_mode(context, splats) if leaves else nullcontext():
             yield 0.0
             if meant is None:
                 meant = selected_now(splats)
             yield from iter_settle(splats)
             count = show_moves_with(splats, meant)
+        if leaves and seen:
+            bpy.ops.object.mode_set(mode=mode)
         return f"{count:,} splats share at least half of their weights"
 
     def _stop_picking(self, context: bpy.types.Context) -> None:

@@ -167,8 +167,6 @@ class GSKIN_OT_select_in_front(SelectSplats, bpy.types.Operator):
     """Of the selected splats keep those that the view shows: what lies behind others is left out. So a box or lasso
     drawn through the figure becomes one of its front side"""
 
-    leaves_edit_mode = True
-
     bl_idname = "gskin.select_in_front"
     bl_label = "Front Side Only"
 
@@ -199,7 +197,9 @@ class GSKIN_OT_select_in_front(SelectSplats, bpy.types.Operator):
         graph = yield from iter_body_of(splats)
         size = max(self.depth, 0.5) * spacing(graph)
         view, lens = np.array(self.view).reshape(4, 4), np.array(self.lens).reshape(4, 4)
-        return in_front(posed_points(splats), view, lens, size)
+        yield 0.5
+        points = posed_points(chosen_splats(context))
+        return (yield from in_thread(lambda: in_front(points, view, lens, size)))
 
 
 def _region_view(context: bpy.types.Context) -> bpy.types.RegionView3D | None:

@@ -34,7 +34,6 @@ class GSKIN_OT_separate_parts(WeightEdit, bpy.types.Operator):
     bl_label = "Separate Selection"
 
     needs_selection = True
-    leaves_edit_mode = True
 
     bone: bpy.props.StringProperty(
         name="Belongs to",

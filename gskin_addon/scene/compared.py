@@ -69,21 +69,25 @@ def is_kept_edited(obj: bpy.types.Object) -> bool:
     return compared(obj) is not None and bool(obj.data[names.COMPARED].get("edited", False))
 
 
+def kept_as_it_is(obj: bpy.types.Object) -> tuple[Influences, list[str]]:
+    """The weights that are not shown, which are there, and the names of the bones that they number."""
+    return Influences(*_read_kept(obj.data)), [str(bone) for bone in obj.data[names.COMPARED]["bones"]]
+
+
 def kept_influences(obj: bpy.types.Object, bones: Sequence[str]) -> Influences:
     """The weights that are not shown, which are there, by their places in `bones`.
 
     Raises InputError: they are for bones that are not among `bones`.
     """
-    index, value = _read_kept(obj.data)
-    kept = [str(bone) for bone in obj.data[names.COMPARED]["bones"]]
+    found, kept = kept_as_it_is(obj)
     place = {name: number for number, name in enumerate(bones)}
-    gone = [kept[bone] for bone in np.unique(index[value > 0]) if kept[bone] not in place]
+    gone = [kept[bone] for bone in np.unique(found.index[found.value > 0]) if kept[bone] not in place]
     if gone:
         raise InputError(
             f"The other weights of '{obj.name}' are for bone '{gone[0]}', which its armature has no more as a deform "
             "bone; give it back its name, or run Auto-Skin again."
         )
-    return Influences(np.array([place.get(name, 0) for name in kept], np.int32)[index], value)
+    return Influences(np.array([place.get(name, 0) for name in kept], np.int32)[found.index], found.value)
 
 
 def kept_side(obj: bpy.types.Object, bones: Sequence[str]) -> Array | None:

@@ -71,8 +71,10 @@ def _write_edited(obj: bpy.types.Object, row: Array, group: Array, weight: Array
     work = bmesh.from_edit_mesh(_data(obj))
     layer, verts = work.verts.layers.deform.verify(), work.verts
     verts.ensure_lookup_table()
+    last, groups = -1, None
     for point, number, value in zip(row.tolist(), group.tolist(), weight.tolist(), strict=True):
-        groups = verts[point][layer]
+        if point != last:
+            last, groups = point, verts[point][layer]
         if value > 0:
             groups[number] = value
         elif number in groups:

@@ -92,7 +92,10 @@ def lay_under(obj: bpy.types.Object, fabric: Fabric) -> None:
 
 
 def cut_fabric(obj: bpy.types.Object, labels: Array) -> None:
-    """Take away what of the fabric lies over walls; labels (N,), see `walls`. Raises InputError in Edit Mode."""
+    """Take away what of the fabric lies over walls, in Edit Mode from what is edited; labels (N,), see `walls`."""
+    if obj.mode == "EDIT":
+        _cut_edited(obj.data, labels)
+        return
     if not has_fabric(obj):
         return
     edges, triangles, sides = _read(obj.data, _EDGE, 2), _read(obj.data, _CORNER, 3), _read(obj.data, _SIDE, 3)
@@ -100,6 +103,27 @@ def cut_fabric(obj: bpy.types.Object, labels: Array) -> None:
     whole = stay[sides].all(axis=1)
     number = np.cumsum(stay) - 1
     lay_under(obj, Fabric(triangles[whole], edges[stay], number[sides[whole]]))
+
+
+def _cut_edited(mesh: ObjectData, labels: Array) -> None:
+    work = bmesh.from_edit_mesh(mesh)
+    work.verts.ensure_lookup_table()
+    work.verts.index_update()
+    label = labels.tolist()
+    there, count = np.unique(labels[labels != 0], return_counts=True)
+    if len(there) < 2:
+        return
+    most = there[count.argmax()]  # what is cut has another label at one end
+    cut = set()
+    for point in np.flatnonzero((labels != 0) & (labels != most)).tolist():
+        vert = work.verts[point]
+        for edge in vert.link_edges:
+            other = label[edge.other_vert(vert).index]
+            if other and other != label[point]:
+                cut.add(edge)
+    for edge in cut:
+        work.edges.remove(edge)  # and its triangles; the points stay
+    bmesh.update_edit_mesh(mesh)
 
 
 def strip_fabric(mesh: ObjectData) -> None:
@@ -118,6 +142,19 @@ def strip_fabric(mesh: ObjectData) -> None:
     work.to_mesh(mesh)
     work.free()
     mesh.update()
+
+
+def read_fabric(mesh: ObjectData) -> tuple[Array, Array]:
+    """Triangles (T, 3) and edges (E, 2) of the fabric in a mesh of splats, none where it has none; a millisecond, but
+    for a mesh in Edit Mode, of which they are slowly read as they were when it was entered."""
+    if not len(mesh.polygons):
+        return np.empty((0, 3), np.int32), np.empty((0, 2), np.int32)
+    if mesh.is_editmode:
+        triangles, edges = np.empty(len(mesh.loops), np.int32), np.empty(2 * len(mesh.edges), np.int32)
+        mesh.loops.foreach_get("vertex_index", triangles)
+        mesh.edges.foreach_get("vertices", edges)
+        return triangles.reshape(-1, 3), edges.reshape(-1, 2)
+    return _read(mesh, _CORNER, 3), _read(mesh, _EDGE, 2)
 
 
 def lay_fabrics_aside() -> None:

@@ -68,7 +68,7 @@ def look_at_file(*_: object) -> None:
     """What turns splats ran in Edit Mode, too, in files of older versions."""
     for obj in bpy.data.objects:
         rotation = find_rotation(obj) if is_splat_object(obj) and obj.library is None else None
-        if rotation is not None:
+        if rotation is not None and not switch.is_drawn(obj):
             rest_in_edit_mode(rotation)
     start_over()
 

@@ -18,13 +18,16 @@ from .armature import deform_bone_names
 from .attributes import read_attribute, write_attribute
 from .binding import bind
 from .bone_frames import armature_of
-from .compared import is_edited, is_kept_edited, iter_shown, keep, kept_influences, mark_edited
+from .compared import is_edited, is_kept_edited, iter_shown, keep, kept_as_it_is, mark_edited
 from .single_user import own_mesh
 from .steps import Steps
 from .weight_edits import iter_edit_weights, locked_groups
 from .weights import check_weights, iter_write_weights
 
 Array = NDArray[Any]
+
+HandWork = tuple[Influences, Sequence[str]]
+"""Weights, and the names of the bones that they number."""
 
 YOURS = "your weights from before"
 """What Compare Weights calls weights that were changed by hand before others came."""
@@ -58,17 +61,18 @@ def iter_give_weights(
             splats, armature, weights, bones, start=start if hand_work is None else None, **options
         )
         if hand_work is not None:
-            keep(splats, YOURS, hand_work, bones, by_hand=True)
+            keep(splats, YOURS, *hand_work, by_hand=True)
         return ""
     return (yield from _iter_merge(splats, armature, weights, bones, only, max_influences, confidence, hand_work))
 
 
-def _iter_hand_work(splats: bpy.types.Object, bones: Sequence[str]) -> Steps[Influences | None]:
-    """What somebody has changed by hand, of `bones`; None where nothing was."""
+def _iter_hand_work(splats: bpy.types.Object, bones: Sequence[str]) -> Steps[HandWork | None]:
+    """What somebody has changed by hand, where it is shown of `bones`; None where nothing was."""
     if is_edited(splats):
         found = yield from iter_shown(splats, bones)
-        return found if found.value.any() else None
-    return kept_influences(splats, bones) if is_kept_edited(splats) else None
+        return (found, bones) if found.value.any() else None
+    # As it is: bones that were renamed since may get their names back.
+    return kept_as_it_is(splats) if is_kept_edited(splats) else None
 
 
 def _iter_merge(
@@ -79,7 +83,7 @@ def _iter_merge(
     only: Array | None,
     max_influences: int,
     confidence: Array | None,
-    hand_work: Influences | None,
+    hand_work: HandWork | None,
 ) -> Steps[str]:
     edited = is_edited(splats)
     own_mesh(splats)
@@ -93,7 +97,7 @@ def _iter_merge(
     locked = locked_groups(splats, bones)
     count = yield from iter_edit_weights(splats, lambda _: new, only)
     if hand_work is not None:
-        keep(splats, YOURS, hand_work, bones, by_hand=True)
+        keep(splats, YOURS, *hand_work, by_hand=True)
     mark_edited(splats, edited)
     known = read_attribute(splats.data, names.CONFIDENCE)
     if confidence is not None and known is not None:

@@ -4,7 +4,8 @@ playback or rendering.
 
 Blender names in each update the meshes whose data was touched: by brushes, Edit Mode, any tool of vertex groups,
 scripts, undo, redo, files. The weights of those are compared with what turns the splats, and taken over where they
-differ: in slices while Blender goes on, once painting or editing has ended. Bones that come, go, or get segments are
+differ: in slices while Blender goes on, once painting or editing has ended, or once a stroke has where the splats are
+seen while weights are painted. Bones that come, go, or get segments are
 noticed by the armature; a copy of splats together with their armature is turned by its own; splats that get an Armature
 modifier by hand get the rotation nodes too; where the armature is gone, nodes and helper go.
 
@@ -31,6 +32,7 @@ from .splat_object import is_splat_object
 from .stand_in import is_stand_in
 from .steps import Steps, run_for, run_to_end
 from .transforms import within_update
+from .viewport import switch
 from .weights import follows_foreign_frames, iter_update_rotation_weights, repoint_frames
 
 CLASSES = ()
@@ -40,8 +42,12 @@ BUDGET = 0.04
 PAUSE = 0.02
 """Seconds between two calls, for Blender to draw and listen in."""
 
+QUIET = 0.3
+"""Seconds without a change after which a stroke counts as ended."""
+
 AT_WORK = {"EDIT", "WEIGHT_PAINT"}
-"""Modes of splats in which weights are still being changed, and nobody sees how they are turned."""
+"""Modes of splats in which weights are still being changed, and nobody sees how they are turned, unless the shader
+draws them in Weight Paint."""
 
 _changed: set[int] = set()
 """Session ids of splat objects whose weights are to be compared with what turns them."""
@@ -262,8 +268,11 @@ def _begin() -> None:
     watched = _watched()
     for uid in [*_changed]:
         obj = object_by_uid(uid)
-        if obj is not None and obj.mode in AT_WORK:
+        if obj is not None and obj.mode in AT_WORK and not is_seen_while_painted(obj):
             continue  # the next change after leaving it comes here again
+        if obj is not None and obj.mode in AT_WORK and watched:
+            _begin_when_quiet()
+            continue
         if not watched:
             settle(obj, uid)
             clean_later()
@@ -271,6 +280,30 @@ def _begin() -> None:
         _changed.discard(uid)
         if obj is not None and _is_followed(obj):
             _running[uid] = iter_update_rotation_weights(obj)
+    if _running and not bpy.app.timers.is_registered(_go_on):
+        bpy.app.timers.register(_go_on, first_interval=0.0)
+
+
+def is_seen_while_painted(obj: bpy.types.Object) -> bool:
+    """Whether weights are being painted on splats that are drawn all the same, as their bones turn them."""
+    return obj.mode == "WEIGHT_PAINT" and switch.shall_draw(obj)
+
+
+def _begin_when_quiet() -> None:
+    """Each change puts it off again, so that a brush is not held up by what reads its weights."""
+    if bpy.app.timers.is_registered(_after_stroke):
+        bpy.app.timers.unregister(_after_stroke)
+    bpy.app.timers.register(_after_stroke, first_interval=QUIET)
+
+
+def _after_stroke() -> None:
+    """Timer: begin with the splats whose weights are being painted."""
+    for uid in [*_changed]:
+        obj = object_by_uid(uid)
+        if obj is not None and is_seen_while_painted(obj):
+            _changed.discard(uid)
+            if _is_followed(obj):
+                _running[uid] = iter_update_rotation_weights(obj)
     if _running and not bpy.app.timers.is_registered(_go_on):
         bpy.app.timers.register(_go_on, first_interval=0.0)
 
@@ -345,6 +378,7 @@ HANDLERS = (
 
 
 def unregister() -> None:
-    if bpy.app.timers.is_registered(_go_on):
-        bpy.app.timers.unregister(_go_on)
+    for timer in (_go_on, _after_stroke):
+        if bpy.app.timers.is_registered(timer):
+            bpy.app.timers.unregister(timer)
     forget()

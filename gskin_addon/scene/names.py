@@ -77,6 +77,8 @@ CONFIDENCE = "gskin:confidence"
 
 ALIKE = "gskin:alike"
 """How much each splat moves with the one that was picked last, 0 to 1; exists where one was."""
+MEANT = "gskin:meant"
+"""Which splats those of `ALIKE` were compared with."""
 STRETCH = "gskin:stretch"
 """How far Try It has stretched what is around each splat: 0 not at all, 1 to three times its length and more."""
 

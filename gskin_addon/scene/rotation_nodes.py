@@ -110,7 +110,7 @@ def add_rotation(obj: bpy.types.Object, frames: bpy.types.Object, after: bpy.typ
     modifier = find_rotation(obj)
     if modifier is None:
         modifier = add_modifier(obj, names.ROTATION_MODIFIER)
-    rest_in_edit_mode(modifier)
+        rest_in_edit_mode(modifier)
     modifier.node_group = rotation_group(bendy=has_joints(frames))
     set_input(modifier, FRAMES_INPUT, frames)
     here, there = obj.modifiers.find(modifier.name), obj.modifiers.find(after.name)
@@ -118,8 +118,8 @@ def add_rotation(obj: bpy.types.Object, frames: bpy.types.Object, after: bpy.typ
 
 
 def rest_in_edit_mode(modifier: bpy.types.NodesModifier) -> None:
-    """Let the nodes not run in Edit Mode, where no splat is drawn: with modifiers that deform alone Blender need not
-    make a mesh of what is edited after each click."""
+    """Let the nodes not run in Edit Mode while no splat is drawn there (`viewport/switch.py`): with modifiers that
+    deform alone Blender need not make a mesh of what is edited after each click."""
     if modifier.show_in_editmode:
         modifier.show_in_editmode = False
 

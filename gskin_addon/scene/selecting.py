@@ -125,6 +125,11 @@ def posed_points(obj: bpy.types.Object) -> Array:
     """(N, 3) where the splats are now in the world, as Blender evaluates their modifiers but for the display."""
     from .node_groups import find_display
 
+    if obj.mode == "EDIT":  # where the display does not run
+        edited: Any = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
+        points = read_positions(edited.to_mesh()).astype(np.float64)
+        edited.to_mesh_clear()
+        return _in_world(points, edited)
     display = find_display(obj)
     shown = display is not None and display.show_viewport
     if shown:
@@ -137,5 +142,9 @@ def posed_points(obj: bpy.types.Object) -> Array:
             display.show_viewport = True
     if len(points) != len(obj.data.vertices):
         points = read_positions(obj.data).astype(np.float64)
-    matrix = np.array(evaluated.matrix_world, np.float64)
+    return _in_world(points, evaluated)
+
+
+def _in_world(points: Array, obj: bpy.types.Object) -> Array:
+    matrix = np.array(obj.matrix_world, np.float64)
     return points @ matrix[:3, :3].T + matrix[:3, 3]

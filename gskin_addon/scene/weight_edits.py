@@ -86,6 +86,7 @@ def iter_edit_weights(
     if not count:
         return 0
     if isinstance(ref, EditedRef):
+        yield 0.6
         yield from part_of(iter_write_edited(ref, bones, painted, after), 0.6, 1.0)
         return count
     obj = ref.find()

@@ -32,6 +32,7 @@ from .bone_frames import (
 from .compared import drop_kept, keep, mark_edited
 from .influences import columns_of, rest_is_kept, slice_rows, strongest, turns_by, write_influences
 from .object_ref import ObjectRef, object_by_uid
+from .overlay import follow_weights
 from .probes import follow_stack, is_probed_rightly, iter_prepare_probes, needs_probes, put_before_display
 from .rotation_nodes import add_rotation, find_rotation, frames_of
 from .single_user import own_mesh, sharers
@@ -180,6 +181,8 @@ class NewWeights:
         else:
             keep(obj, *self._start, self._bones)
         mark_edited(obj, False)
+        if not carried:
+            follow_weights(obj)
 
     def _choose(self) -> Steps[None]:
         bones, columns = len(self._deform), np.array(self._columns)
@@ -294,6 +297,7 @@ def iter_update_rotation_weights(obj: bpy.types.Object) -> Steps[bool]:
     follow_stack(obj)
     if changed:
         mark_edited(obj, True)
+        follow_weights(obj)
     return True
 
 

@@ -13,9 +13,10 @@ from ..scene.bone_frames import armature_of
 from ..scene.display_colors import SHOW_BONES, SHOW_CONFIDENCE, SHOW_WEIGHTS_OF
 from ..scene.display_inputs import BY_SHADER, DISPLAY_INPUTS
 from ..scene.fabric import has_fabric
+from ..scene.handlers import is_seen_while_painted, is_unsettled
 from ..scene.node_builder import has_input, input_property
 from ..scene.node_groups import find_display
-from ..scene.overlay import CONFIDENCE, WEIGHTS, overlay_of
+from ..scene.overlay import ALIKE, BONES, CONFIDENCE, NONE, WEIGHTS, is_of_before, overlay_of
 from ..scene.render import changes_colors
 from ..scene.viewport import switch
 from ..session.chosen import chosen_splats
@@ -65,6 +66,7 @@ class GSKIN_PT_display(_Child, bpy.types.Panel):
             column.operator("gskin.standard_view", icon="COLOR")
         column.prop(splats, "gskin_overlay")
         overlay = overlay_of(splats)
+        _draw_timeliness(context, splats, overlay, column)
         if overlay == CONFIDENCE and names.CONFIDENCE not in splats.data.attributes:
             column.label(text="These weights do not know how sure they are", icon="INFO")
         if armature_of(splats) is not None:
@@ -94,6 +96,22 @@ def _draw_true_splats(context: bpy.types.Context, splats: bpy.types.Object, layo
             box.label(text=line)
     elif not has_input(find_display(splats), BY_SHADER):
         layout.operator("gskin.renew_display", icon="FILE_REFRESH")
+
+
+def _draw_timeliness(
+    context: bpy.types.Context, splats: bpy.types.Object, overlay: str, layout: bpy.types.UILayout
+) -> None:
+    """While weights are worked on: what is seen of them, and of which weights it is."""
+    if splats.mode == "WEIGHT_PAINT" and switch.setting(context.scene):
+        row = layout.row()
+        row.active = overlay != NONE
+        row.prop(context.scene, "gskin_show_in_paint")
+    if is_of_before(splats):
+        layout.label(text="Measured with earlier weights; Try It again", icon="INFO")
+    elif overlay in {BONES, ALIKE} and splats.mode == "EDIT":
+        layout.label(text="Weights changed in Edit Mode show after it", icon="INFO")
+    elif overlay in {BONES, ALIKE} and is_seen_while_painted(splats) and is_unsettled(splats):
+        layout.label(text="Weights are read; colors follow", icon="SORTTIME")
 
 
 class GSKIN_PT_select(_Child, bpy.types.Panel):

@@ -202,6 +202,18 @@ def test_hand_work_is_kept_whichever_side_is_shown_when_others_come(splats, arma
     assert np.array_equal(read_weights(splats)[0], mine)
 
 
+def test_hand_work_for_a_renamed_bone_keeps_no_job_from_ending(splats, armature):
+    splats.vertex_groups["upper"].add(list(range(40)), 0.25, "REPLACE")
+    bpy.context.view_layer.update()
+    mine = read_weights(splats)[0]
+    bpy.ops.gskin.compare_weights(show="BEFORE")
+    armature.data.bones["upper"].name = "Renamed"
+    run_to_end(iter_give_weights(splats, armature, random_weights(), ["lower", "Renamed"]))
+    armature.data.bones["Renamed"].name = "upper"
+    bpy.ops.gskin.compare_weights(show="BEFORE")
+    assert np.array_equal(read_weights(splats)[0], mine)
+
+
 def test_hand_work_and_locks_outlast_weights_from_a_file(splats, armature, tmp_path):
     write_weights_file(tmp_path / "w.npz", random_weights(), read_skeleton(armature))
     bpy.context.scene.gskin.armature = armature

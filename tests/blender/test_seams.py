@@ -18,6 +18,7 @@ from gskin_addon.core.job.scope import read_scope
 from gskin_addon.scene import names
 from gskin_addon.scene.compared import is_edited
 from gskin_addon.scene.seams import read_seams
+from gskin_addon.scene.selecting import enter_edit_mode
 from gskin_addon.scene.splat_object import create_splat_object
 from gskin_addon.scene.weights import read_weights, write_weights
 from gskin_addon.session import skin_job
@@ -150,6 +151,10 @@ def test_refine_selected_changes_the_selection_alone(scene):
         bpy.ops.gskin.refine_selected()
 
 
+def triangles(mesh):
+    return {frozenset(triangle.vertices) for triangle in mesh.polygons}
+
+
 def test_a_seam_frees_both_sides_and_cuts_the_fabric(scene):
     splats, _armature, weights = scene
     top = weights[:, 3] > 0
@@ -160,6 +165,7 @@ def test_a_seam_frees_both_sides_and_cuts_the_fabric(scene):
     bpy.ops.gskin.make_paintable()
     splats.vertex_groups["bone 1"].lock_weight = True
     select(splats, top)
+    sewn = splats.data.copy()
     bpy.ops.gskin.separate_parts(reach=5.0, free=False)
     assert np.array_equal(read_weights(splats)[0], wrong), "only marked"
     labels = read_seams(splats)
@@ -167,6 +173,13 @@ def test_a_seam_frees_both_sides_and_cuts_the_fabric(scene):
     sides = labels[edges]
     assert len(edges)
     assert not ((sides[:, 0] != sides[:, 1]) & (sides != 0).all(axis=1)).any()
+    cut, splats.data = splats.data, sewn
+    enter_edit_mode(bpy.context, splats, top)
+    bpy.ops.gskin.separate_parts(reach=5.0, free=False)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert np.array_equal(read_seams(splats), labels)
+    assert len(splats.data.vertices) == len(cut.vertices)
+    assert triangles(splats.data) == triangles(cut), "the same in Edit Mode"
     select(splats, top)
     bpy.ops.gskin.separate_parts(reach=5.0)
     after = read_weights(splats)[0]

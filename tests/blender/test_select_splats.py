@@ -19,9 +19,11 @@ from gskin_addon.core.splats.cloud import SH_C0
 from gskin_addon.operators import _sliced, select_splats
 from gskin_addon.operators._selecting import SelectSplats, combined
 from gskin_addon.scene import names, selecting
+from gskin_addon.scene.attributes import read_attribute
 from gskin_addon.scene.fabric import iter_make_fabric
 from gskin_addon.scene.seams import write_seams
 from gskin_addon.scene.splat_object import create_splat_object, read_cloud
+from gskin_addon.scene.stand_in import readable
 from gskin_addon.scene.steps import run_to_end
 from gskin_addon.scene.weights import read_weights, write_weights
 from gskin_addon.ui import select_menu
@@ -176,6 +178,37 @@ def test_front_side_only(splats, monkeypatch):
     monkeypatch.setattr(select_splats, "_region_view", lambda context: None)
     with pytest.raises(RuntimeError, match="No 3D view"):
         bpy.ops.gskin.select_in_front()
+
+
+def test_edit_mode_knows_where_the_pose_puts_the_splats(splats):
+    armature = splats.modifiers[0].object
+    rigs.random_pose(armature, np.random.default_rng(2), 0.8)
+    bpy.context.view_layer.update()
+    posed = selecting.posed_points(splats)
+    bpy.ops.object.mode_set(mode="EDIT")
+    np.testing.assert_allclose(selecting.posed_points(splats), posed, atol=1e-5)
+    for bone in armature.pose.bones:
+        bone.matrix_basis.identity()
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(selecting.posed_points(splats), read_points(splats), atol=1e-5)
+    assert np.abs(posed - read_points(splats)).max() > 0.1
+
+
+def read_points(obj):
+    with readable(obj) as there:
+        return read_cloud(there).means
+
+
+def test_by_bone_knows_weights_that_were_changed_in_edit_mode(splats):
+    before, bones = read_weights(splats)
+    sure = read_attribute(splats.data, names.CONFIDENCE)
+    selecting.enter_edit_mode(bpy.context, splats, np.arange(COUNT) < 50)
+    bpy.ops.gskin.assign_to_bone(bone=bones[3])
+    bpy.ops.gskin.select_by_bone(bone=bones[3], least=0.99)
+    found = selected(splats)
+    assert found[:50].all()
+    np.testing.assert_array_equal(found[50:], before[50:, 3] >= 0.99)
+    write_weights(splats, splats.modifiers[0].object, before, confidence=sure)
 
 
 def test_in_weight_paint_the_mode_stays(splats):

@@ -73,7 +73,7 @@ class Buttons:
                     return x, y + off
         return None
 
-    def press(self, operator: str, what: str, wait: float = 60.0) -> Generator[Wait, None, bool]:
+    def press(self, operator: str, what: str, wait: float = 30.0) -> Generator[Wait, None, bool]:
         """Click a button and wait until its operator is done; whether it is, `what` in words for the checks."""
         place = yield from self.find(operator)
         self.stage.check(f"the button {what} is found", place is not None, place)
@@ -90,6 +90,8 @@ class Buttons:
         done = finished()
         good = done != before and last_name() == operator
         self.stage.check(f"{what} runs to its end", good, last_name())
+        self.view.area.tag_redraw()
+        yield self.stage.pause(0.5)
         if not good:
             yield from self.hands.shoot_screen(f"x_{operator}")
         return good

@@ -22,7 +22,7 @@ from . import ends, layouts
 from .bird import bird_front, bird_joints
 from .body_shape import body_shape
 from .joints import HUMAN, MIDDLE, QUADRUPED
-from .landmarks import move_to_landmarks, on_their_sides
+from .landmarks import ends_at, move_to_landmarks, on_their_sides
 from .stance import QUARTER, Standing, feet_ahead, quarter_turns, slant, stand
 from .votes import VoteNetwork, features, mirrored
 
@@ -136,9 +136,9 @@ def fit_with(
     flip = np.array([-1.0, 1.0, 1.0])
     found = _named(spec.joints, left.joints * standing.scale, right.joints * flip * standing.scale)
     spread = float(np.concatenate([left.spread, right.spread]).mean()) * standing.scale / standing.diagonal
-    found, shift, same = _finished(found, standing, turn, alike, landmarks or {})
+    found, shift, same, goals = _finished(found, standing, turn, alike, landmarks or {})
     surface = standing.shape.points - shift
-    skeleton, deform = layouts.build(spec.bones, spec.ends(found, surface))
+    skeleton, deform = layouts.build(spec.bones, ends_at(spec.ends(found, surface), goals))
     placement = np.eye(4)
     placement[:3, :3] = turn
     placement[:3, 3] = turn @ (standing.origin + shift)
@@ -167,8 +167,8 @@ def _fit_bird(
         quarters = next(turned % 4 for turned in (quarters, quarters + 2, *allowed) if turned % 4 in allowed)
     standing, turn = standings[quarters], _turn_back(quarters, base)
     found = bird_joints(standing.shape.points)
-    found, shift, same = _finished(found, standing, turn, alike, landmarks or {})
-    skeleton, deform = layouts.build(layouts.BIRD, found)
+    found, shift, same, goals = _finished(found, standing, turn, alike, landmarks or {})
+    skeleton, deform = layouts.build(layouts.BIRD, ends_at(found, goals))
     placement = np.eye(4)
     placement[:3, :3], placement[:3, 3] = turn, turn @ (standing.origin + shift)
     tick(1.0)
@@ -198,15 +198,15 @@ def both_alike(joints: dict[str, Array], diagonal: float, wanted: bool | None) -
 
 def _finished(
     found: dict[str, Array], standing: Standing, turn: Array, alike: bool | None, landmarks: Mapping[str, Array]
-) -> tuple[dict[str, Array], Array, bool]:
-    """As `both_alike`, with the limbs brought to landmarks. Where both sides are alike, a landmark of one side holds
-    for the other as well; two that contradict one another leave each side as it is."""
+) -> tuple[dict[str, Array], Array, bool, dict[str, Array]]:
+    """As `both_alike`, with the limbs brought to landmarks, and these in the joints' frame. Where both sides are alike,
+    a landmark of one side holds for the other as well; two that contradict one another leave each side as it is."""
     diagonal = standing.diagonal
     own, shift, same = both_alike(found, diagonal, alike)
-    if not landmarks:
-        return own, shift, same
-    flip = np.array([-1.0, 1.0, 1.0])
     goals: dict[str, Array] = {}
+    if not landmarks:
+        return own, shift, same, goals
+    flip = np.array([-1.0, 1.0, 1.0])
     for name, at in landmarks.items():
         goals[name] = turn.T @ np.asarray(at, np.float64) - standing.origin
     twins = {name: name[:-1] + "LR"[name[-1] == "L"] for name in goals if name[-2:] in (".L", ".R")}
@@ -221,7 +221,8 @@ def _finished(
     if same:
         own, further, _ = both_alike(own, diagonal, True)
         shift = shift + further
-    return own, shift, same
+        goals = {name: goal - further for name, goal in goals.items()}
+    return own, shift, same, goals
 
 
 def _turned(

@@ -24,6 +24,10 @@ CHAINS = {
 }
 """Landmarks and the joints that go along, from the one that stays to the outermost."""
 
+ENDS = {"hand": "fingers", "foot": "toe_tip", "front_paw": "front_toe_tip", "hind_paw": "toe_tip", "wing": "wing_tip",
+        "beak": "beak", "head": "crown"}  # fmt: skip
+"""Landmarks and the point of a layout in which the last bone of the limb ends."""
+
 NAMES = ("head", "beak", *(f"{name}.{side}" for name in CHAINS if name not in ("head", "beak") for side in "LR"))
 
 
@@ -52,6 +56,17 @@ def move_to_landmarks(
         turn = _stretch(end - start, goal - start)
         for joint in chain[1:]:
             out[joint] = start + turn @ (out[joint] - start)
+    return out
+
+
+def ends_at(points: Mapping[str, Array], landmarks: Mapping[str, Array]) -> dict[str, Array]:
+    """The points of a layout, with those that are landmarks where somebody has said that they are."""
+    out = dict(points)
+    for name, place in landmarks.items():
+        kind, dot, side = name.partition(".")
+        end = f"{ENDS.get(kind, '')}{dot}{side}"
+        if name in NAMES and end in out:
+            out[end] = np.asarray(place, np.float64)
     return out
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 
+from ..overlay import follow_active_group
 from ..splat_object import is_splat_object
 from . import cages, selection, switch, view_state, visible
 from .handler import redraw
@@ -32,6 +33,7 @@ def follow(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
             if obj.data.session_uid in meshes:
                 visible.rest_changed(obj)
         switch.apply_to(obj)
+        follow_active_group(obj)
 
 
 @persistent

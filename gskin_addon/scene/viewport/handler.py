@@ -54,6 +54,7 @@ def _draw(context: bpy.types.Context) -> None:
     if state.arrange(shown, view, projection, at_once=not on_screen) and not bpy.app.timers.is_registered(_look):
         bpy.app.timers.register(_look, first_interval=POLL)
     others = list(visible.others(context))
+    cages.remember_fabrics(shown)
     edited = cages.edited_cages(context, shown)
     depths = None
     if not edited and _tells_depth(context.space_data) and any(not obj.show_in_front for obj in others):

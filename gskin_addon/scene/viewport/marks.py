@@ -109,11 +109,12 @@ def lay_out(cages: Sequence[Cage], view: Array, projection: Array, size: tuple[i
             last.append((dots, dots, look.active, radius, True))
     parts += last
     count = [len(start) for start, *_ in parts]
+    opacity = _opacity(np.concatenate(selected_places), size, look.size)
+    rims = [part[4] and opacity == 1.0 for part in parts]  # of dots side by side only dark would be left
     return Strokes(
         np.concatenate([start for start, *_ in parts]), np.concatenate([part[1] for part in parts]),
         np.repeat(np.array([part[2] for part in parts]), count, axis=0),
-        np.repeat([part[3] for part in parts], count), np.repeat([part[4] for part in parts], count),
-        _opacity(np.concatenate(selected_places), size, look.size),
+        np.repeat([part[3] for part in parts], count), np.repeat(rims, count), opacity,
     )  # fmt: skip
 
 

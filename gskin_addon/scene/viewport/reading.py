@@ -72,7 +72,7 @@ def read_rest(obj: bpy.types.Object, limit: int) -> RestSplats | None:
     return RestSplats(base, rotations, sh, opacities[part], chosen)
 
 
-def rest_in_edit_mode(evaluated: bpy.types.Object, known: RestSplats | None, limit: int) -> RestSplats | None:
+def read_edited_rest(evaluated: bpy.types.Object, known: RestSplats | None, limit: int) -> RestSplats | None:
     """The rest splats of an object in Edit Mode, whose own mesh cannot be read: those `known` from before if they are
     still there, else what its evaluated points tell, which is the colour of no direction; None as `read_posed`."""
     given = _given(evaluated)

@@ -60,9 +60,11 @@ def hidden_splats(obj: bpy.types.Object) -> tuple[Mask | None, int]:
 def _from_edit_mode(obj: bpy.types.Object) -> tuple[Mask, Mask, int]:
     mesh: Any = obj.data
     work = bmesh.from_edit_mesh(mesh)
-    count = len(work.verts)
-    selected = np.fromiter((vertex.select for vertex in work.verts), np.bool_, count)
-    hidden = np.fromiter((vertex.hide for vertex in work.verts), np.bool_, count)
+    # Lists are twice as quick as generators; most often nothing is selected, or all.
+    count, chosen = len(work.verts), mesh.total_vert_sel
+    mixed = 0 < chosen < count
+    selected = np.array([vertex.select for vertex in work.verts]) if mixed else np.full(count, chosen > 0)
+    hidden = np.array([vertex.hide for vertex in work.verts], np.bool_)
     active = work.select_history.active
     return selected, hidden, active.index if isinstance(active, bmesh.types.BMVert) else -1
 

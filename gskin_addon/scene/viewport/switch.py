@@ -61,6 +61,18 @@ def can_be_drawn(obj: bpy.types.Object) -> bool:
     return obj.mode in AT_WORK or not (is_native(modifier) and shows_engine())
 
 
+def shows_overlay_in(obj: bpy.types.Object, mode: str) -> bool:
+    """Whether splats in other than captured colours would be seen in another mode of an object."""
+    scenes = obj.users_scene
+    painted = all(getattr(scene, "gskin_show_in_paint", False) for scene in scenes)
+    modes = {"OBJECT", "POSE", "EDIT"} | ({"WEIGHT_PAINT"} if painted else set())
+    modifier = find_display(obj)
+    return (
+        bool(scenes) and all(wanted(scene) for scene in scenes) and mode in modes and obj.library is None
+        and modifier is not None and has_input(modifier, BY_SHADER) and bool(get_input(modifier, "Display"))
+    )  # fmt: skip
+
+
 def shall_draw(obj: bpy.types.Object) -> bool:
     """Whether the shader can draw an object, and is wanted in all scenes that have it."""
     scenes = obj.users_scene

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...core.render.drawn_splats import DrawnSplats
 from . import selection, switch
-from .reading import RestSplats, drawn_limit, is_same, read_posed, read_rest, rest_in_edit_mode
+from .reading import RestSplats, drawn_limit, is_same, read_edited_rest, read_posed, read_rest
 from .selection import hidden_splats
 
 T = TypeVar("T")
@@ -96,7 +96,7 @@ def _read(obj: bpy.types.Object, context: bpy.types.Context) -> Shown | None:
     state = (uid, obj.data.session_uid, _rest_version.get(uid, 0), len(obj.data.vertices), limit, obj.mode == "EDIT")
     if before is None or before.state != state:
         if obj.mode == "EDIT":
-            rest = rest_in_edit_mode(evaluated, before.read if before and before.state[-2] == limit else None, limit)
+            rest = read_edited_rest(evaluated, before.read if before and before.state[-2] == limit else None, limit)
         else:
             rest = read_rest(obj, limit)
         same = before is not None and before.read is not None and rest is not None and before.read.is_same(rest)

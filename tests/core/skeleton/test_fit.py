@@ -81,6 +81,10 @@ def test_landmarks_bring_the_ends_of_limbs_there(person):
     np.testing.assert_allclose(joints["shoulder.L"], before["shoulder.L"], atol=1e-9)
     way, to_goal = joints["wrist.L"] - joints["shoulder.L"], goal - joints["shoulder.L"]
     assert way @ to_goal / np.linalg.norm(way) / np.linalg.norm(to_goal) > 0.97
+    placed = found.placed()
+    hand = placed.names.index("hand.L")
+    palm = placed.tails[hand] - placed.heads[hand]  # as the layout has it, six tenths of the way to the fingertips
+    np.testing.assert_allclose(placed.heads[hand] + palm / 0.6, goal, atol=1e-6)
     with pytest.raises(InputError, match=r"'hand.X' is no landmark of this body; choose one of head, hand.L"):
         move_to_landmarks(plain.joints, {"hand.X": goal}, person.means)
 

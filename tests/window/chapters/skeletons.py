@@ -165,5 +165,7 @@ def turned(truth: dict[str, Any]) -> dict[str, Any]:
 
 
 def tip(rig: Any) -> np.ndarray:
-    """Where the left hand ends."""
-    return np.array(rig.matrix_world @ rig.data.bones["hand.L"].tail_local)
+    """Where the left hand ends: Rigify's bone is its palm, six tenths of the way to the fingertips."""
+    bone = rig.data.bones[MARK]
+    head, tail = np.array(rig.matrix_world @ bone.head_local), np.array(rig.matrix_world @ bone.tail_local)
+    return head + (tail - head) / 0.6

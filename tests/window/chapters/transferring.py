@@ -35,7 +35,7 @@ def transferring(desk: Desk) -> Story:
     mesh.hide_set(False)
     choose(desk.view, desk.splats, mesh)
     yield from desk.buttons.show("weights")
-    if (yield from desk.buttons.press("gskin.transfer_weights", "Transfer Weights", 120.0)):
+    if (yield from desk.buttons.press("gskin.transfer_weights", "Transfer Weights", 60.0)):
         mesh.hide_set(True)
         got = desk.weights()
         changed = int((got != lost).any(axis=1).sum())
@@ -51,7 +51,7 @@ def transferring(desk: Desk) -> Story:
     bare.hide_set(False)
     choose(desk.view, desk.splats, bare)
     yield 0.5
-    if (yield from desk.buttons.press("gskin.transfer_weights_to_mesh", "To Mesh", 120.0)):
+    if (yield from desk.buttons.press("gskin.transfer_weights_to_mesh", "To Mesh", 60.0)):
         got = groups_of(desk, bare)
         off = float(np.abs(got - right[used(desk)]).sum(axis=1).mean())
         stage.check("To Mesh gives the mesh the weights", off < CLOSE, f"{off:.3f} apart in the mean")
