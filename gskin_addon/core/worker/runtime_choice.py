@@ -58,7 +58,8 @@ class Backend:
     licence: str = ""
 
 
-# Linux CPU: measured (docs/install.md), with the environment itself. The others: the sizes that the indexes state, unpacked about twice as large.
+# Linux CPU: measured (docs/install.md), with the environment itself. The others: the sizes that the indexes state,
+# unpacked about twice as large.
 BACKENDS = {
     backend.name: backend
     for backend in (
