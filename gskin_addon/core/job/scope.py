@@ -61,8 +61,8 @@ class Scope:
         """The same with the types above.
 
         Raises:
-            InputError: arrays that do not fit `splats` and `bones`, weights of no splat, rows of weights that do not sum
-                to 1, indices that are no splats or come twice, `only` without weights for the others.
+            InputError: arrays that do not fit `splats` and `bones`, weights of no splat, rows of weights that do not
+                sum to 1, indices that are no splats or come twice, `only` without weights for the others.
         """
         present = self.present
         if present is not None:
@@ -76,7 +76,7 @@ class Scope:
             if not np.isfinite(present).all() or (present < 0).any() or off.max(initial=0) > 1e-3:
                 raise InputError(f"{label} has present weights whose rows do not sum to 1; normalise them first.")
             if not sums.any():
-                raise InputError(f"{label} has no splat with weights to start from; give all of them some, by Auto-Skin.")
+                raise InputError(f"{label} has no splat with weights to start from; run Auto-Skin for all of them.")
             present = present.astype(np.float32, copy=False)
         only = self.only
         if only is not None:
