@@ -111,8 +111,8 @@ def run(options: argparse.Namespace) -> None:
     for warning in (warning_of_time(chosen, turned.count, skeleton.count), warning_of_no_guidance(options, chosen)):
         if warning:
             print_message(warning)
-    # glTF knows no anchors: there the splats keep weights of their own, blended from the mesh's.
-    anchored = options.out.suffix.lower() == ".blend"
+    # glTF knows no anchors, there the splats keep weights of their own, blended from the mesh's; and no fabric.
+    blend = options.out.suffix.lower() == ".blend"
     with _job_folder(options.job_dir) as folder, contextlib.closing(ProgressPrinter(options.progress)) as printer:
         job = SkinJob.start(
             splats,
@@ -120,10 +120,11 @@ def run(options: argparse.Namespace) -> None:
             settings,
             python,
             proxy,
-            anchored=anchored,
+            anchored=blend,
             folder=folder,
             label=f"'{options.splats}'",
             allow_download=options.allow_download,
+            paintable=blend and options.paintable,
         )
         job.wait(printer)
         printer(ProgressEvent("save", 1.0, message=options.out.name))

@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy_extras.io_utils import ImportHelper
 
-from ..core.errors import GSkinError
-from ..scene.import_skeleton import SUFFIXES, import_skeleton
+from ..core.skeleton.placing import Placing
+from ..scene.import_skeleton import SUFFIXES, iter_import_skeleton
+from ..scene.object_ref import ObjectRef
+from ..scene.steps import Steps
 from ..session.chosen import chosen_splats, panel_settings
+from ._sliced import Sliced
 
 
-class GSKIN_OT_import_skeleton(bpy.types.Operator, ImportHelper):
+class GSKIN_OT_import_skeleton(Sliced, bpy.types.Operator, ImportHelper):
     """Import a skeleton for the splats: joints as RigNet, UniRig, Puppeteer and SkinTokens write them (.txt, .npz), a
     motion file (.bvh), or the armature of a character (.fbx, .vrm, .glb, .blend). Its axes and its unit are guessed
     from where the splats are"""
@@ -39,13 +42,20 @@ class GSKIN_OT_import_skeleton(bpy.types.Operator, ImportHelper):
             return False
         return True
 
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        self.asked = True
+        answer: set[str] = set(super().invoke(context, event))
+        return answer
+
     def execute(self, context: bpy.types.Context) -> set[str]:
+        return self.begin(context)
+
+    def work(self, context: bpy.types.Context) -> Steps[str]:
+        """Read, look for the place, add; then splats and armature are selected."""
         splats = chosen_splats(context)
-        try:
-            armature, placing = import_skeleton(Path(self.filepath), splats if self.guess else None)
-        except GSkinError as error:
-            self.report({"ERROR"}, error.plain)
-            return {"CANCELLED"}
+        ref = None if splats is None else ObjectRef(splats)
+        armature, placing = yield from iter_import_skeleton(Path(self.filepath), splats if self.guess else None)
+        splats = None if ref is None else ref.find()
         for obj in context.selected_objects:
             obj.select_set(False)
         for obj in (splats, armature):
@@ -56,15 +66,24 @@ class GSKIN_OT_import_skeleton(bpy.types.Operator, ImportHelper):
         if settings.armature is not None:
             settings.armature = armature
         words = f"'{armature.name}': {len(armature.data.bones)} bones"
-        if placing is not None and placing.plain:
+        if placing is None or splats is None:
+            return words
+        if placing.plain:
             words += f", {placing.plain}"
-        if placing is not None and placing.unsure:
-            self.report({"WARNING"}, f"{words}; it does not lie well in '{splats.name}': check size, axes and place")
-        elif placing is not None and placing.either_way:
-            self.report({"WARNING"}, f"{words}; it would fit as well turned about: check that its front is the body's")
-        else:
-            self.report({"INFO"}, words)
-        return {"FINISHED"}
+        doubt = _doubt(placing, splats.name)
+        if not doubt:
+            return words
+        self.report({"WARNING"}, f"{words}; {doubt}")
+        return ""
+
+
+def _doubt(placing: Placing, splats: str) -> str:
+    """What is to be checked; empty for nothing."""
+    if placing.unsure:
+        return f"it does not lie well in '{splats}': check size, axes and place"
+    if placing.either_way:
+        return "it would fit as well turned about: check that its front is the body's"
+    return ""
 
 
 CLASSES = (GSKIN_OT_import_skeleton,)

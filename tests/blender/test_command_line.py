@@ -137,6 +137,26 @@ def test_rig_with_walls_keeps_them_by_the_rows_of_the_file(files, tmp_path, pret
     assert "gskin walls" not in obj.data.attributes
 
 
+def test_a_blend_can_be_painted_on_and_stays_so(files, tmp_path, pretended):
+    """`rig` lays the fabric as Auto-Skin does; `weights` and `pose` keep what is there; none of it is for glTF."""
+    rig = ("rig", files / "rod.ply", "--armature", files / "rig.blend", "--up", "z", "--progress", "none")
+    outs = {name: tmp_path / f"{name}.blend" for name in ("rigged", "changed", "posed", "bare", "bare_changed")}
+    assert run(*rig, "--out", outs["rigged"]) == 0
+    assert run(*rig, "--out", outs["bare"], "--no-paintable") == 0
+    assert run("weights", outs["rigged"], "--normalise", "--out", outs["changed"]) == 0
+    assert run("weights", outs["bare"], "--normalise", "--out", outs["bare_changed"]) == 0
+    assert run("pose", outs["rigged"], "--rotate", "lower", "20", "0", "0", "--out", outs["posed"]) == 0
+    count = {}
+    for name, path in outs.items():
+        bpy.ops.wm.open_mainfile(filepath=str(path))
+        (obj,) = (obj for obj in bpy.data.objects if is_splat_object(obj))
+        count[name] = len(obj.data.polygons)
+    assert count["rigged"] > 300
+    assert count == {**dict.fromkeys(outs, count["rigged"]), "bare": 0, "bare_changed": 0}
+    pretended.setattr(skin_job, "iter_fabric", None)  # would raise
+    assert run(*rig, "--out", tmp_path / "rigged.glb") == 0
+
+
 @only_with(*WORKER)
 def test_rig_end_to_end(rigged, files):
     out, weights, done = rigged

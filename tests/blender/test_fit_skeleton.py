@@ -3,16 +3,20 @@
 
 from __future__ import annotations
 
+import threading
 from itertools import pairwise
 
 import capsule_person as persons
 import numpy as np
 import pytest
+from patience import HANG
 
 bpy = pytest.importorskip("bpy")
 
 import gskin_addon
 from gskin_addon.core.skeleton.fit import fit
+from gskin_addon.core.skeleton.placing import guess_placing
+from gskin_addon.scene import import_skeleton
 from gskin_addon.scene.armature import read_skeleton
 from gskin_addon.scene.fitted_rig import create_armature, create_fitted_rig, rigify_is_on
 from gskin_addon.scene.landmarks import read_landmarks
@@ -161,6 +165,37 @@ def test_a_character_file_is_brought_into_the_splats(splats, tmp_path):
     assert bpy.ops.gskin.import_skeleton(filepath=str(path.with_suffix(".vrm"))) == {"FINISHED"}
     armature = bpy.context.active_object
     assert joint_errors(armature, splats).mean() < 0.06 * DIAGONAL
+
+
+def test_importing_a_skeleton_left_at_once_or_half_way_adds_nothing(splats, tmp_path, monkeypatch):
+    """Its place is looked for beside Blender, which goes on meanwhile; Escape closes the steps."""
+    armature = create_armature(fit("human", read_cloud(splats)).placed().moved(np.eye(3), 0.1, (4, 0, 0)), "Avatar")
+    bpy.ops.object.select_all(action="DESELECT")
+    armature.select_set(True)
+    glb, text = tmp_path / "avatar.glb", tmp_path / "joints.txt"
+    bpy.ops.export_scene.gltf(filepath=str(glb), use_selection=True)
+    text.write_text("joints a 0 0 0\njoints b 0 0 9\nroot a\nhier a b")
+    bpy.data.batch_remove([armature.data, armature])
+    before, threads, hold = set(bpy.data.user_map()), [], threading.Event()
+
+    def slow(skeleton, points):
+        threads.append(threading.current_thread())
+        hold.wait(HANG)
+        return guess_placing(skeleton, points)
+
+    monkeypatch.setattr(import_skeleton, "guess_placing", slow)
+    for path in (glb, text):
+        steps = import_skeleton.iter_import_skeleton(path, splats)
+        shares = [next(steps) for _ in range(8)]
+        assert shares == sorted(shares)
+        assert shares[-1] < 1
+        steps.close()
+        assert set(bpy.data.user_map()) == before, path
+    assert len(threads) == 2
+    assert threading.main_thread() not in threads
+    hold.set()
+    for thread in threads:
+        thread.join(HANG)
 
 
 @pytest.mark.parametrize("kind", ["action", "nla", "driver"])

@@ -118,6 +118,20 @@ def test_a_guidance_starts_from_the_weights_that_are_there(scene):
     np.testing.assert_allclose(scope.present, weights, atol=1e-6)
 
 
+def test_a_guidance_starts_with_splats_that_have_no_weights(scene):
+    """The weight tools leave splats without weights as they are, so a job has to take them so."""
+    splats, armature, weights = scene
+    empty = np.arange(200) % 5 == 0
+    for group in splats.vertex_groups:
+        group.remove(np.flatnonzero(empty).tolist())
+    only = np.arange(200) < 50
+    _, scope = run(splats, armature, only, guidance="elastic")
+    np.testing.assert_allclose(scope.present, np.where(empty[:, None], 0, weights), atol=1e-6)
+    after = read_weights(splats)[0]
+    assert (after[only, 0] == 1).all()
+    assert not after[empty & ~only].any(), "what was not selected stays"
+
+
 def test_hand_work_is_kept_beside_new_weights_and_blends_with_them(scene):
     splats, armature, _ = scene
     assert not is_edited(splats)

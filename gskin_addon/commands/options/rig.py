@@ -133,6 +133,12 @@ def add(commands: Any) -> None:
         metavar="N",
         help="bones per splat in the result, 0 for no limit (default: 4; 0 in the preset paper)",
     )
+    rig.add_argument(
+        "--no-paintable",
+        dest="paintable",
+        action="store_false",
+        help="of a .blend: no fabric under the splats for Blender's brushes (Make Paintable)",
+    )
     rig.add_argument("--seed", type=seed, default=0, metavar="N", help="same seed, same weights (default: 0)")
     rig.add_argument(
         "--job-dir", type=Path, metavar="D", help="keep the job here; the same command resumes a stopped one"

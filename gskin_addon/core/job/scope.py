@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 
 from ..errors import InputError
 from ..files import read_arrays
+from ..skinning.walls import nearest_open
 
 Array = NDArray[Any]
 
 
 @dataclass(frozen=True, eq=False)
 class Scope:
-    """present (N, B) float32: weights that the splats have now, in the order of the job's bones, rows sum to 1;
+    """present (N, B) float32: weights that the splats have now, in the order of the job's bones, rows sum to 1, or are
+    zeros where a splat has none, see `filled`;
     only (K,): indices of the splats whose weights may change, all where left out; walls (N,): a label for each splat, 0
     for none: distances, heat and smoothing do not go from one splat to another where both have labels and they differ.
     """
@@ -41,12 +43,26 @@ class Scope:
             mask[self.only] = True
         return mask
 
+    def filled(self, means: Array) -> Scope:
+        """The same where splats at means (N, 3) without present weights have those of the nearest splat with some that
+        no wall separates from them: learning starts from weights of every splat."""
+        if self.present is None:
+            return self
+        known = self.present.any(axis=1)
+        if known.all():
+            return self
+        present, labels = self.present.copy(), self.walls
+        own = (None, None) if labels is None else (labels[known], labels[~known])
+        _, nearest = nearest_open(means[known], means[~known], *own)
+        present[~known] = present[known][nearest]
+        return replace(self, present=present)
+
     def checked(self, splats: int, bones: int, label: str = "The job's scope") -> Scope:
         """The same with the types above.
 
         Raises:
-            InputError: arrays that do not fit `splats` and `bones`, weights whose rows do not sum to 1, indices that
-                are no splats or come twice, `only` without weights for the others.
+            InputError: arrays that do not fit `splats` and `bones`, weights of no splat, rows of weights that do not
+                sum to 1, indices that are no splats or come twice, `only` without weights for the others.
         """
         present = self.present
         if present is not None:
@@ -56,8 +72,11 @@ class Scope:
                     "bones; make them from the same splats and armature."
                 )
             sums = present.sum(axis=1, dtype=np.float64)
-            if not np.isfinite(present).all() or (present < 0).any() or np.abs(sums - 1).max() > 1e-3:
+            off = np.where(sums == 0, 0, np.abs(sums - 1))
+            if not np.isfinite(present).all() or (present < 0).any() or off.max(initial=0) > 1e-3:
                 raise InputError(f"{label} has present weights whose rows do not sum to 1; normalise them first.")
+            if not sums.any():
+                raise InputError(f"{label} has no splat with weights to start from; run Auto-Skin for all of them.")
             present = present.astype(np.float32, copy=False)
         only = self.only
         if only is not None:

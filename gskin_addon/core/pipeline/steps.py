@@ -62,7 +62,7 @@ class JobInputs:
             resolve_backend(chosen.rasterizer)  # refused before any work
         scope = Scope()
         if chosen.scope:
-            scope = read_scope(folder / chosen.scope, cloud.count, skeleton.count)
+            scope = read_scope(folder / chosen.scope, cloud.count, skeleton.count).filled(cloud.means)
         if chosen.init == PRESENT and scope.present is None:
             raise InputError(
                 f"'{folder / chosen.scope}' has no present weights to start from; add them, or choose an init."

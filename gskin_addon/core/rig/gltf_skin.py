@@ -6,7 +6,7 @@ Sections of glTF 2.0: 3.7.2 (primitives), 3.7.3 (skins).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from ..errors import InputError
 from ..splats.axes import up_rotation
 from ..splats.gltf import EXTENSION_NAME
 from ..splats.gltf_container import GltfFile, read_container
-from ..splats.gltf_file import node_matrices
+from ..splats.gltf_file import node_matrices, node_matrix
 from ..splats.loaded import damaged
 
 Array = NDArray[Any]
@@ -44,8 +44,8 @@ def read_gltf_skin(path: Path, *, splats: bool = False) -> Skinned:
     Raises InputError: no glTF, damaged, cut off, nothing skinned in it, compressed, other primitives than triangles.
     """
     file = read_container(path)
-    matrices = dict(node_matrices(file))
-    parts = [part for node in matrices for part in _parts(file, node, splats)]
+    scene = [node for node, _ in node_matrices(file)]
+    parts = [part for node in scene for part in _parts(file, node, splats)]
     if not parts:
         what = "skinned splats" if splats else "skinned mesh"
         raise InputError(f"'{path}' has no {what} in its scene; choose a file whose objects follow an armature.")
@@ -58,12 +58,13 @@ def read_gltf_skin(path: Path, *, splats: bool = False) -> Skinned:
             "joints that move nothing."
         )
     place = {joint: column for column, joint in enumerate(joints)}
+    rests = _rests(file, scene, [part.inverse() for part in parts])
     verts, weights = np.zeros((total, 3)), np.zeros((total, len(joints)), np.float32)
     faces, start = [np.zeros((0, 3), np.int64)], 0
     turn = up_rotation("y")
     for part in parts:
         rows = slice(start, start + part.count)
-        matrix = part.rest(matrices)
+        matrix = part.rest(rests)
         verts[rows] = (part.attribute("POSITION", 3) @ matrix[:3, :3].T + matrix[:3, 3]) @ turn.T
         part.add_weights(weights[rows], np.array([place[joint] for joint in part.joints]))
         faces.append(part.faces() + start)
@@ -92,19 +93,22 @@ class _Part:
             raise damaged(self.file.path, f"its {name} has the shape {values.shape} for {self.count} vertices")
         return values
 
-    def rest(self, matrices: Mapping[int, Array]) -> Array:
-        """The matrix (4, 4) from the vertices to the scene, at rest: that of the first joint, whose node need not be
-        where it was when the mesh was bound, but says in which unit and which way up the scene has it."""
-        joint = self.joints[0]
-        if joint not in matrices:
-            raise damaged(self.file.path, f"joint {joint} is not in its scene")
-        inverse = np.eye(4)
-        if "inverseBindMatrices" in self.skin:
-            every = self.file.accessor(self.skin["inverseBindMatrices"])
-            if every.ndim != 2 or every.shape[1] != 16 or len(every) < len(self.joints):
-                raise damaged(self.file.path, "its inverse bind matrices are no matrices of all joints")
-            inverse = every[0].reshape(4, 4).T.astype(np.float64)
-        return matrices[joint] @ inverse
+    def inverse(self) -> dict[int, Array]:
+        """Of each joint the inverse bind matrix (4, 4): from the vertices to the joint."""
+        if "inverseBindMatrices" not in self.skin:
+            return dict.fromkeys(self.joints, np.eye(4))
+        every = self.file.accessor(self.skin["inverseBindMatrices"])
+        if every.ndim != 2 or every.shape[1] != 16 or len(every) < len(self.joints):
+            raise damaged(self.file.path, "its inverse bind matrices are no matrices of all joints")
+        matrices = every[: len(self.joints)].reshape(-1, 4, 4).transpose(0, 2, 1).astype(np.float64)
+        return dict(zip(self.joints, matrices, strict=True))
+
+    def rest(self, rests: Mapping[int, Array]) -> Array:
+        """The matrix (4, 4) from the vertices to the scene, at rest, from `_rests`."""
+        joint = next((node for node in rests if node in self.joints), None)  # none of the skin is above it
+        if joint is None:
+            raise damaged(self.file.path, f"joint {self.joints[0]} is not in its scene")
+        return rests[joint] @ self.inverse()[joint]
 
     def add_weights(self, out: Array, columns: Array) -> None:
         """Add the weights to out (V, B); columns (J,) of the joints."""
@@ -132,6 +136,34 @@ class _Part:
         if index.ndim != 1 or len(index) % 3 or index.max(initial=0) >= max(self.count, 1):
             raise damaged(self.file.path, "its triangles are not three vertices each that exist")
         return index.reshape(-1, 3)
+
+
+def _rests(file: GltfFile, nodes: Iterable[int], skins: list[dict[int, Array]]) -> dict[int, Array]:
+    """Where nodes are when the joints are at rest: matrices (4, 4) to the scene, in the order of `nodes`.
+
+    nodes: those of the scene, parents first; skins: of each, the inverse bind matrices by joint.
+    Each joint lies to the next one of its skin above it as it did when the mesh was bound: both take the vertices to
+    the same place (glTF 2.0, 3.7.3.3). That says nothing of topmost joints: with their nodes the file says in which
+    unit, which way up and where its scene has the mesh, and Blender's importer takes it so, too.
+    """
+    above = {child: node for node in nodes for child in file.item("nodes", node).get("children", ())}
+    rests: dict[int, Array] = {}
+    for node in nodes:
+        parent = above.get(node)
+        rests[node] = node_matrix(file, file.item("nodes", node))
+        if parent is not None:
+            rests[node] = rests[parent] @ rests[node]
+        for inverse in skins:
+            joint = parent if node in inverse else None
+            while joint is not None and joint not in inverse:
+                joint = above.get(joint)
+            if joint is not None:
+                try:
+                    rests[node] = rests[joint] @ inverse[joint] @ np.linalg.inv(inverse[node])
+                except np.linalg.LinAlgError:
+                    raise damaged(file.path, "an inverse bind matrix that cannot be inverted") from None
+                break
+    return rests
 
 
 def _parts(file: GltfFile, node: int, splats: bool) -> Iterator[_Part]:

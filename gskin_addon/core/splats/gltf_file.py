@@ -121,7 +121,7 @@ def node_matrices(file: GltfFile) -> Iterator[tuple[int, NDArray[np.float64]]]:
         if index in seen or depth > _DEEPEST:
             raise damaged(file.path, f"its node {index} hangs in a circle, or in two places")
         seen.add(index)
-        matrix = parent @ _matrix(file, node)
+        matrix = parent @ node_matrix(file, node)
         stack += [(child, matrix, depth + 1) for child in reversed(_list(file, node, "children"))]
         yield index, matrix
 
@@ -165,7 +165,7 @@ def _list(file: GltfFile, parent: Mapping[str, Any], key: str) -> list[Any]:
     return value
 
 
-def _matrix(file: GltfFile, node: Mapping[str, Any]) -> NDArray[np.float64]:
+def node_matrix(file: GltfFile, node: Mapping[str, Any]) -> NDArray[np.float64]:
     """The matrix of a node, 4 x 4, from its matrix or its translation, rotation (xyzw) and scale."""
 
     def numbers(key: str, default: list[float]) -> NDArray[np.float64]:

@@ -40,6 +40,7 @@ def test_another_scope_has_another_name():
         (Scope(present(4)), r"present weights \(4, 2\)"),
         (Scope(present() * 2), "do not sum to 1"),
         (Scope(np.full((5, 2), np.nan, np.float32)), "do not sum to 1"),
+        (Scope(np.zeros((5, 2), np.float32)), "no splat with weights to start from"),
         (Scope(present(), np.array([], np.int64)), "names no splats"),
         (Scope(present(), np.array([0.5])), "names no splats"),
         (Scope(present(), np.array([5])), "outside 0 to 4"),
@@ -54,6 +55,19 @@ def test_what_does_not_fit_is_named(tmp_path, scope, words):
     name = write_scope(tmp_path, scope)
     with pytest.raises(InputError, match=words):
         read_scope(tmp_path / name, 5, 2)
+
+
+def test_splats_without_weights_start_from_their_neighbours_on_this_side(tmp_path):
+    weights = present()
+    weights[[1, 3]] = 0
+    means = np.array([[0, 0, 0], [1, 0, 0], [1.5, 0, 0], [9, 0, 0], [8, 0, 0]], np.float32)
+    scope = read_scope(tmp_path / write_scope(tmp_path, Scope(weights, np.array([1]))), 5, 2)
+    np.testing.assert_array_equal(scope.present, weights)
+    np.testing.assert_array_equal(scope.filled(means).present, weights[[0, 2, 2, 4, 4]])
+    apart = Scope(weights, walls=np.array([1, 1, 2, 0, 0])).filled(means)
+    np.testing.assert_array_equal(apart.present, weights[[0, 0, 2, 4, 4]])
+    full = Scope(present())
+    assert full.filled(means) is full
 
 
 def test_files_that_hold_no_scope_are_named(tmp_path):

@@ -70,6 +70,59 @@ def test_a_skinned_glb_stands_in_the_scenes_unit_whatever_its_node_says(tmp_path
     np.testing.assert_allclose(mesh.weights, weights[:, ::-1], atol=1e-6)  # the joints of each vertex are 1, 0
 
 
+def posed(order, second_skin=False):
+    """The same with the lower joint 1 m along x from the upper one when it was bound, and raised by 30 degrees since;
+    joints in the order given. With a second skin, another mesh follows the lower joint alone."""
+    parsed, binary = document(*body())
+    bind = np.tile(np.eye(4, dtype="<f4"), (2, 1, 1))
+    bind[order.index(2), 3, 0] = -100  # columns first, in centimetres
+    binary = binary[: -bind.nbytes] + bind.tobytes()
+    parsed["skins"][0]["joints"] = order
+    half = np.radians(15)
+    parsed["nodes"][2].update(translation=[100, 0, 0], rotation=[0, 0, float(np.sin(half)), float(np.cos(half))])
+    if second_skin:
+        binary += bind[order.index(2)].tobytes()
+        parsed["buffers"][0]["byteLength"] = len(binary)
+        parsed["bufferViews"].append({"buffer": 0, "byteOffset": len(binary) - 64, "byteLength": 64})
+        parsed["accessors"].append({"bufferView": 5, "componentType": 5126, "count": 1, "type": "MAT4"})
+        parsed["skins"].append({"joints": [2], "inverseBindMatrices": 5})
+        primitive = parsed["meshes"][0]["primitives"][0]
+        alone = {**primitive, "attributes": {**primitive["attributes"], "JOINTS_0": 6}}
+        joints = np.zeros((len(body()[0]), 4), np.uint8)
+        parsed["bufferViews"].append({"buffer": 0, "byteOffset": len(binary), "byteLength": joints.nbytes})
+        parsed["accessors"].append({"bufferView": 6, "componentType": 5121, "count": len(joints), "type": "VEC4"})
+        binary += joints.tobytes()
+        parsed["buffers"][0]["byteLength"] = len(binary)
+        parsed["meshes"].append({"primitives": [alone]})
+        parsed["nodes"].append({"mesh": 1, "skin": 1})
+        parsed["scenes"][0]["nodes"].append(3)
+    return parsed, binary
+
+
+@pytest.mark.parametrize("order", [[1, 2], [2, 1]])
+def test_a_skinned_glb_is_at_rest_when_its_joints_are_posed(tmp_path, order):
+    """The skin's first joint need be neither the topmost one nor at rest."""
+    verts, *_ = body()
+    mesh = read_skinned(write_glb(tmp_path / "a.glb", *posed(order)))
+    np.testing.assert_allclose(mesh.verts, verts[:, [0, 2, 1]] * [1, -1, 1], atol=1e-6)
+
+
+def test_a_mesh_that_follows_posed_joints_alone_is_at_rest_beside_the_others(tmp_path):
+    verts, *_ = body()
+    mesh = read_skinned(write_glb(tmp_path / "a.glb", *posed([2, 1], second_skin=True)))
+    expected = verts[:, [0, 2, 1]] * [1, -1, 1]
+    np.testing.assert_allclose(mesh.verts, np.concatenate([expected, expected]), atol=1e-6)
+
+
+def test_where_the_topmost_joint_is_the_mesh_is_too(tmp_path):
+    """As in Blender's importer: files that stand upright only by the turn of this node are common."""
+    parsed, binary = document(*body())
+    parsed["nodes"][1].update(rotation=[-np.sqrt(0.5), 0, 0, np.sqrt(0.5)], translation=[0, 0, 3])
+    mesh = read_skinned(write_glb(tmp_path / "a.glb", parsed, binary))
+    verts, *_ = body()
+    np.testing.assert_allclose(mesh.verts, verts + [0, -3, 0], atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from gskin_addon.core.errors import InputError
+from gskin_addon.core.rig.nearest_points import nearest_points
 from gskin_addon.core.rig.skeleton import Skeleton
-from gskin_addon.core.skeleton.placing import guess_placing
+from gskin_addon.core.skeleton.placing import _Body, guess_placing
 from gskin_addon.core.skeleton.read import read_skeleton_file
 
 RIGNET = """joints hip 0 1 0
@@ -177,6 +178,16 @@ def test_axes_unit_and_place_are_guessed(turn, scale, shift):
     assert off < 0.03, placing
     assert not placing.unsure
     assert (placing.plain == "") == np.array_equal(turn, np.eye(3))
+
+
+@pytest.mark.parametrize("offset", [0, 1e5])
+def test_the_misfit_is_how_far_bones_and_body_are_from_one_another(offset):
+    rng = np.random.default_rng(4)
+    body = _Body.of(rng.normal(size=(2000, 3)) + offset)
+    bones = rng.normal(size=(300, 3)) + offset
+    there, back = nearest_points(bones, body.points, 1)[0], nearest_points(body.points, bones, 1)[0]
+    expected = (np.sqrt(np.square(there).mean()) + np.sqrt(np.square(back).mean())) / 2 / body.diagonal
+    np.testing.assert_allclose(body.misfit(bones), expected, rtol=1e-9)
 
 
 def test_what_is_alike_from_front_and_back_is_said():
