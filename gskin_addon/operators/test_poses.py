@@ -10,13 +10,13 @@ import bpy
 from ..core.errors import GSkinError
 from ..core.job.settings import FRONTS
 from ..scene.asset_catalog import catalog_folder, ensure_catalog, refresh_asset_lists
-from ..scene.bone_frames import armature_of
 from ..scene.handlers import iter_settle
 from ..scene.pose_assets import clear_poses, set_preview, write_pose
 from ..scene.pose_previews import iter_previews
 from ..scene.steps import Steps, part_of
 from ..scene.test_poses import iter_test_poses
 from ..session.chosen import chosen_splats, panel_settings
+from ._rig_and_splats import can_pose_splats
 from ._sliced import SlicedClick
 
 
@@ -40,15 +40,7 @@ class GSKIN_OT_test_poses(SlicedClick, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        splats = chosen_splats(context)
-        problem = ""
-        if splats is None or armature_of(splats) is None:
-            problem = "Select splats that follow an armature"
-        elif splats.mode == "EDIT" or armature_of(splats).mode == "EDIT":
-            problem = "Leave Edit Mode (Tab)"
-        if problem:
-            cls.poll_message_set(problem)
-        return not problem
+        return can_pose_splats(cls, context)
 
     def work(self, context: bpy.types.Context) -> Steps[str]:
         splats = chosen_splats(context)

@@ -10,13 +10,13 @@ import bpy
 
 from ..core.errors import GSkinError
 from ..core.skinning.edits.stretch import StretchMeter
-from ..scene.bone_frames import armature_of
 from ..scene.handlers import iter_settle
 from ..scene.overlay import show_stretch
 from ..scene.selecting import mark_selected
 from ..scene.steps import Steps, run_for, run_to_end
 from ..scene.trial import Player, Trial, iter_meter
 from ..session.chosen import chosen_splats
+from ._rig_and_splats import can_pose_splats
 from ._ticking import begin_ticking, end_ticking
 from .confidence import least
 
@@ -75,15 +75,7 @@ class GSKIN_OT_try_it(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        splats = chosen_splats(context)
-        problem = ""
-        if splats is None or armature_of(splats) is None:
-            problem = "Select splats that follow an armature"
-        elif splats.mode == "EDIT" or armature_of(splats).mode == "EDIT":
-            problem = "Leave Edit Mode (Tab)"
-        if problem:
-            cls.poll_message_set(problem)
-        return not problem
+        return can_pose_splats(cls, context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """All of it at once: without a window, and again with another number."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import uuid
 from pathlib import Path
+from typing import Any
 
 import bpy
 
@@ -67,11 +68,12 @@ def catalog_folder() -> Path | None:
 def refresh_asset_lists() -> None:
     """Let asset browsers and asset shelves that are open read their catalogs again."""
     manager = bpy.context.window_manager
+    refresh: Any = bpy.ops.asset.library_refresh
     for window in manager.windows if manager is not None else ():
         for area in window.screen.areas:
             for region in area.regions:
                 if region.type not in {"WINDOW", "ASSET_SHELF"}:
                     continue
                 with bpy.context.temp_override(window=window, area=area, region=region):
-                    if bpy.ops.asset.library_refresh.poll():
-                        bpy.ops.asset.library_refresh()
+                    if refresh.poll():
+                        refresh()

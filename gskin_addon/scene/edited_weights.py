@@ -51,6 +51,7 @@ def iter_write_edited(ref: EditedRef, bones: Sequence[str], before: Array, after
         if bones[bone] not in obj.vertex_groups:
             obj.vertex_groups.new(name=bones[bone])
     group = np.array([obj.vertex_groups[name].index if name in obj.vertex_groups else -1 for name in bones])
+    yield 0.0
     done = 0
     try:
         for part in slices(len(row)):

@@ -67,8 +67,8 @@ def poses_of(armature: bpy.types.Object) -> list[Part]:
     """The pose assets of this file that are the armature's own, by name: assets with no more than one frame."""
     found = []
     for action in bpy.data.actions:
-        first, last = action.frame_range
-        if action.asset_data is None or last > first:
+        frames: Any = action.frame_range
+        if action.asset_data is None or frames[1] > frames[0]:
             continue
         own = action.get(names.TEST_POSE) is not None and action.get(names.TEST_POSE) == armature.get(names.TEST_POSE)
         found += [part for part in parts_of(action) if curves_of(part) and (own or is_own(part, armature))]
@@ -122,7 +122,8 @@ def _new_curves(action: bpy.types.Action, armature: bpy.types.Object) -> Any:
     """Where F-curves of the armature go in a new action: from Blender 4.4 on in a slot of its own."""
     slots: Any = getattr(action, "slots", None)
     if slots is None:
-        return action.fcurves
+        old: Any = action
+        return old.fcurves
     slot = slots.new("OBJECT", armature.name)
     layers: Any = action.layers
     return layers.new("Layer").strips.new(type="KEYFRAME").channelbag(slot, ensure=True).fcurves
@@ -130,6 +131,6 @@ def _new_curves(action: bpy.types.Action, armature: bpy.types.Object) -> Any:
 
 def _mark_of(armature: bpy.types.Object) -> str:
     """What tells the poses made for the armature from all others; it outlives another name of the armature."""
-    if names.TEST_POSE not in armature:
+    if armature.get(names.TEST_POSE) is None:
         armature[names.TEST_POSE] = secrets.token_hex(8)
     return str(armature[names.TEST_POSE])

@@ -5,6 +5,7 @@ as the active object, and show no true splats."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import bpy
@@ -48,7 +49,7 @@ def iter_previews(
     pictures = []
     for number, pose in enumerate(transforms):
         at = number / len(transforms), (number + 1) / len(transforms)
-        drawing = in_thread(lambda pose=pose: _draw(subset.cloud, weights, pose, camera))  # type: ignore[misc]
+        drawing = in_thread(partial(_draw, subset.cloud, weights, pose, camera))
         pictures.append((yield from part_of(drawing, *at)))
     return pictures
 

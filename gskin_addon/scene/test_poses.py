@@ -181,7 +181,8 @@ def _control_of(
 def _world_vector(armature: bpy.types.Object, name: str, axis: int, angle: float) -> list[float]:
     """A turn about one of a bone's own axes as `turn_bones` takes it: about the world's, in degrees."""
     about = armature.matrix_world.to_quaternion() @ armature.data.bones[name].matrix_local.to_quaternion()
-    return list(about @ mathutils.Vector([float(np.degrees(angle)) * (k == axis) for k in range(3)]))
+    turn: Any = about @ mathutils.Vector([float(np.degrees(angle)) * (k == axis) for k in range(3)])
+    return [float(value) for value in turn]
 
 
 @contextmanager

@@ -81,6 +81,8 @@ def test_test_poses_turn_the_controls_and_take_them_back(human):
     assert not any(name.startswith("root") for name in poses), "that turns the whole figure"
     # The arm stretches to its side, the leg hangs down.
     assert ('pose.bones["upper_arm_parent.L"]["IK_FK"]', 0) in poses["upper_arm_fk.L Up"].values
+    for control in armature.pose.bones:  # Blender poses the selected bones, or all where none is
+        (control if hasattr(control, "select") else control.bone).select = False
     for name, bone in (("upper_arm_fk.L Up", moved[0]), ("shin_fk.R Back", moved[1]), ("head Left", moved[2])):
         armature.pose.apply_pose_from_action(write_pose(armature, poses[name]))
         armature.update_tag()

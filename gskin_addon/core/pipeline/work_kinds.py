@@ -77,7 +77,8 @@ def field_seconds(field: str, options: Mapping[str, Any], splats: int, bones: in
         return 0.0
     fineness = options.get("resolution", RESOLUTION) / RESOLUTION
     parameters = (options.get("width", WIDTH) / WIDTH) ** 2
-    return float(parameters + (0.3 + 0.7 * parameters) * fineness**2 * 0.3 * splats / 50_000 * (0.8 + bones / 100))
+    readers = (0.3 + 0.7 * parameters) * fineness**2 * 0.2 * splats / 50_000 * (0.8 + bones / 100)
+    return float(0.65 * parameters + readers)
 
 
 def volume_memory(options: Mapping[str, Any], splats: int, bones: int) -> float:

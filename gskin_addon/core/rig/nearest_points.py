@@ -17,7 +17,7 @@ from ..splats.morton import BITS, morton_keys
 Array = NDArray[Any]
 
 _WIDTH = 8  # points in a box, and boxes in a box
-_GROUP = 32  # most queries in a group
+_GROUP = 12  # most queries in a group; few, so that for a dozen neighbours fewer points have to be looked at
 _BATCH = 1 << 18  # pairs whose distances are found at once
 
 
@@ -79,7 +79,7 @@ def _groups(key: Array, asked: Array, k: int) -> Array:
     for level in range(0, 3 * BITS + 1, 3):  # of 3 bits: from all in one cell to the finest cells
         shift = np.uint64(3 * BITS - level)
         cells = key >> shift
-        if level == 3 * BITS or 1 + np.count_nonzero(cells[1:] != cells[:-1]) >= len(key) / (2 * k):
+        if level == 3 * BITS or 1 + np.count_nonzero(cells[1:] != cells[:-1]) >= len(key) / k:
             break
     cell = asked >> shift
     new = np.flatnonzero(np.concatenate([[True], cell[1:] != cell[:-1]]))

@@ -65,8 +65,10 @@ class Look:
 def theme_look(context: bpy.types.Context) -> Look:
     """As the theme has it for Edit Mode."""
     theme: Any = context.preferences.themes[0].view_3d
-    colors = (tuple(color)[:3] for color in (theme.vertex, theme.vertex_select, theme.edge_select))
-    return Look(*colors, tuple(theme.editmesh_active)[:3], theme.vertex_size * context.preferences.system.pixel_size)
+    point, selected, edge, active = (
+        tuple(color)[:3] for color in (theme.vertex, theme.vertex_select, theme.edge_select, theme.editmesh_active)
+    )
+    return Look(point, selected, edge, active, theme.vertex_size * context.preferences.system.pixel_size)
 
 
 @dataclass(frozen=True)
@@ -211,7 +213,7 @@ class Marks:
         for cage in cages:
             if cage.solid_key in self._batches:
                 shader.bind()
-                shader.uniform_float("to_clip", mathutils.Matrix(projection @ view @ cage.matrix))
+                shader.uniform_float("to_clip", mathutils.Matrix((projection @ view @ cage.matrix).tolist()))
                 self._batches[cage.solid_key].draw(shader)
 
 

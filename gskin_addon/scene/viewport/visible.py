@@ -93,7 +93,14 @@ def _read(obj: bpy.types.Object, context: bpy.types.Context) -> Shown | None:
     evaluated, uid = obj.evaluated_get(context.view_layer.depsgraph), obj.session_uid
     limit = drawn_limit(evaluated)
     before = _rest.get(uid)
-    state = (uid, obj.data.session_uid, _rest_version.get(uid, 0), len(obj.data.vertices), limit, obj.mode == "EDIT")
+    state: Any = (
+        uid,
+        obj.data.session_uid,
+        _rest_version.get(uid, 0),
+        len(obj.data.vertices),
+        limit,
+        obj.mode == "EDIT",
+    )
     if before is None or before.state != state:
         if obj.mode == "EDIT":
             rest = read_edited_rest(evaluated, before.read if before and before.state[-2] == limit else None, limit)

@@ -22,7 +22,7 @@ def keep(
     before, after (N, B) float32, before's rows as they are, after's with any positive sum; selected (N,) bool, all
     where left out; locked (B,) bool, none where left out; most: bones that a changed row keeps, the locked and then
     the strongest, 0 for all. A changed row sums to 1: its open bones share what the locked ones leave. Where `after`
-    gives the open bones nothing or what they have, or the locked ones leave nothing, the row stays.
+    gives the open bones nothing, or the locked ones leave nothing, the row stays; so does one that `after` has alike.
     """
     before = np.asarray(before, np.float32)
     out = before.copy()
@@ -32,7 +32,7 @@ def keep(
     for first in range(0, len(chosen), step):
         rows = chosen[first : first + step]
         new = np.maximum(np.asarray(after[rows], np.float32), 0)
-        meant = (new != before[rows])[:, ~fixed].any(axis=1)  # others would change by rounding alone
+        meant = (new != before[rows]).any(axis=1)  # others would change by rounding alone
         new[:, fixed] = 0
         if most:
             _drop_weakest(new, most - (before[np.ix_(rows, fixed)] > 0).sum(axis=1))
