@@ -51,6 +51,17 @@ def test_present_weights_stay_where_nothing_is_learned(tmp_path):
     assert outcome.confidence is None
 
 
+def test_splats_without_present_weights_start_as_their_nearest_neighbours_do(tmp_path):
+    limb = make_limb(400)
+    start = noisy(limb.weights)
+    empty = np.arange(400) % 7 == 0
+    known = np.where(empty[:, None], 0, start).astype(np.float32)
+    outcome = job(tmp_path, limb, Scope(known, np.flatnonzero(empty)), {"init": "present", "max_influences": 0})
+    way = np.linalg.norm(limb.cloud.means[empty, None] - limb.cloud.means[~empty], axis=2)
+    np.testing.assert_array_equal(outcome.weights[empty], start[~empty][way.argmin(axis=1)])
+    np.testing.assert_array_equal(outcome.weights[~empty], start[~empty])
+
+
 @pytest.mark.parametrize("settings", [{}, {"init": "geodesic"}, ELASTIC, {**ELASTIC, "init": "present"}])
 def test_only_the_chosen_splats_change(tmp_path, settings):
     limb = make_limb(600)
