@@ -20,6 +20,7 @@ from gskin_addon.core.render.rasterizer import render_cloud
 from gskin_addon.core.rig.lbs import skin_cloud
 from gskin_addon.core.training.guidance.pairs import MANIFEST, SHARDS, VERSION, encode_image
 from tests.helpers.limb import make_limb
+from tests.helpers.sampler_reference import SCALING
 from tests.helpers.tiny_lightning import tiny_unet, write_models
 
 SIZE = 64
@@ -71,7 +72,7 @@ def mean_vae() -> Any:
         norm_num_groups=1,
         latent_channels=4,
         layers_per_block=1,
-        scaling_factor=2.0,
+        scaling_factor=SCALING,
     )
     for name, value in vae.named_parameters():
         if "norm" not in name:
@@ -93,8 +94,9 @@ def mean_vae() -> Any:
             block.downsamplers[0].conv.weight[c, c, :2, :2] = 0.25
     for block in vae.decoder.up_blocks[:-1]:
         same(block.upsamplers[0].conv, width)
-    same(vae.quant_conv, 4)
-    same(vae.post_quant_conv, 4)
+    # Latents of about unit size, whatever Stable Diffusion's factor makes of them.
+    same(vae.quant_conv, 4, 2.0 / SCALING)
+    same(vae.post_quant_conv, 4, SCALING / 2.0)
     vae.quant_conv.bias[4:] = -30.0  # no noise
     return vae.eval()
 
