@@ -14,7 +14,6 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-import bpy
 from arriving import PANELS, arrive, auto_skin, bring_in, import_splats, remember
 from chapters.desk import Desk
 from chapters.editing import editing
@@ -24,7 +23,7 @@ from chapters.showing import showing
 from chapters.skeletons import skeletons
 from chapters.transferring import transferring
 from chapters.trying import trying
-from stage import Hands, Stage, Story, View
+from stage import Hands, Stage, Story, View, perform, story_parser
 
 CHAPTERS = {"try": trying, "show": showing, "select": selecting, "edit": editing, "transfer": transferring,
             "separate": separating}  # fmt: skip
@@ -57,16 +56,11 @@ def story(stage: Stage, options: argparse.Namespace) -> Story:
 
 
 def main() -> None:
-    """Read the arguments after `--` and start."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--splats", type=Path, required=True)
+    """Read the arguments behind `--` and start."""
+    parser = story_parser()
     parser.add_argument("--rig", type=Path, required=True)
     parser.add_argument("--only", action="append", choices=["skeletons", *CHAPTERS])
-    options = parser.parse_args(sys.argv[sys.argv.index("--") + 1 :])
-    bpy.context.preferences.view.show_splash = False
-    stage = Stage(options.out)
-    stage.play(story(stage, options))
+    perform(story, parser)
 
 
 if __name__ == "__main__":

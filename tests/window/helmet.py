@@ -23,7 +23,7 @@ from addon import find_rig, find_splats, part, rest, unsettled, working
 from arriving import PANELS, arrive, auto_skin, bring_in, choose, remember
 from bpy_extras.view3d_utils import location_3d_to_region_2d
 from buttons import Buttons, finished
-from stage import Hands, Stage, Story, View
+from stage import Hands, Stage, Story, View, perform, story_parser
 from work_clock import CLICK, KEY, TURN, VIEW, WorkClock, drawing
 
 BEND = {"forearm.R": (40, 0, -30)}
@@ -214,16 +214,11 @@ def dragged() -> int:
 
 
 def main() -> None:
-    """Read the arguments after `--` and start."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--splats", type=Path, required=True)
+    """Read the arguments behind `--` and start."""
+    parser = story_parser()
     parser.add_argument("--rig", type=Path, required=True)
     parser.add_argument("--again", action="store_true", help="also run Auto-Skin once more")
-    options = parser.parse_args(sys.argv[sys.argv.index("--") + 1 :])
-    bpy.context.preferences.view.show_splash = False
-    stage = Stage(options.out)
-    stage.play(story(stage, options))
+    perform(story, parser)
 
 
 if __name__ == "__main__":

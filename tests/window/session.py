@@ -20,7 +20,7 @@ import bpy
 import mathutils
 import numpy as np
 from addon import ADDON, all_splats, find_rig, find_splats, part, rest, running
-from stage import Hands, Stage, Story, View, waited
+from stage import Hands, Stage, Story, View, perform, story_parser, waited
 
 FROZEN = 0.1
 """Seconds for which Blender may not answer while a job runs, on a machine that has nothing else to do."""
@@ -413,16 +413,11 @@ def moved_as_computed(stage: Stage, splats: Any, before: np.ndarray, when: str) 
 
 
 def main() -> None:
-    """Read the arguments after `--` and start."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--splats", type=Path, required=True)
+    """Read the arguments behind `--` and start."""
+    parser = story_parser()
     parser.add_argument("--rig", type=Path, required=True)
     parser.add_argument("--preset", default="draft")
-    options = parser.parse_args(sys.argv[sys.argv.index("--") + 1 :])
-    bpy.context.preferences.view.show_splash = False
-    stage = Stage(options.out)
-    stage.play(story(stage, options))
+    perform(story, parser)
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ import mathutils
 import numpy as np
 from addon import ADDON, part
 from figure import TURNS, armature, distance_weights
-from stage import Hands, Stage, Story, View
+from stage import Hands, Stage, Story, View, perform, story_parser
 
 FRONT = (0.55, -1.0, 0.22)
 
@@ -386,16 +386,11 @@ def redraw_seconds(view: View, times: int = 5) -> float:
 
 
 def main() -> None:
-    """Read the arguments after `--` and start."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--splats", type=Path, required=True)
+    """Read the arguments behind `--` and start."""
+    parser = story_parser()
     parser.add_argument("--capture", type=Path)
     parser.add_argument("--capture-rig", type=Path)
-    options = parser.parse_args(sys.argv[sys.argv.index("--") + 1 :])
-    bpy.context.preferences.view.show_splash = False
-    stage = Stage(options.out)
-    stage.play(story(stage, options))
+    perform(story, parser)
 
 
 main()

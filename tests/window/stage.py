@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 import subprocess
+import sys
 import threading
 import time
 import traceback
@@ -149,6 +151,22 @@ class Stage:
         result = {"checks": self.checks, "numbers": self.numbers, "views": self.views}
         (self.out / "result.json").write_text(json.dumps(result, indent=1))
         bpy.ops.wm.quit_blender()
+
+
+def story_parser() -> argparse.ArgumentParser:
+    """Of the arguments behind `--` that every story has: where its pictures go, and the splats."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--splats", type=Path, required=True)
+    return parser
+
+
+def perform(story: Callable[[Stage, argparse.Namespace], Story], parser: argparse.ArgumentParser) -> None:
+    """Read the arguments behind `--` and start the story."""
+    options = parser.parse_args(sys.argv[sys.argv.index("--") + 1 :])
+    bpy.context.preferences.view.show_splash = False
+    stage = Stage(options.out)
+    stage.play(story(stage, options))
 
 
 def waited() -> float:

@@ -24,7 +24,7 @@ import numpy as np
 from addon import find_rig, find_splats, part, turned_as_computed, unsettled
 from arriving import arrive, auto_skin, bring_in, remember
 from bpy_extras.view3d_utils import location_3d_to_region_2d
-from stage import Hands, Stage, Story, View
+from stage import Hands, Stage, Story, View, perform, story_parser
 
 TRIES = 3
 """Drags of the gradient, until one changes weights: on a loaded machine single ones did not arrive."""
@@ -336,19 +336,14 @@ def edit_mode(stage: Stage, painting: Painting) -> Story:
 
 
 def main() -> None:
-    """Read the arguments after `--` and start."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--splats", type=Path, required=True)
+    """Read the arguments behind `--` and start."""
+    parser = story_parser()
     parser.add_argument("--rig", type=Path, required=True)
     parser.add_argument("--up", default="z")
     parser.add_argument("--bone", default="head")
     parser.add_argument("--locked", default="chest")
     parser.add_argument("--front", type=float, nargs=3, default=(0.0, -1.0, 0.0))
-    options = parser.parse_args(sys.argv[sys.argv.index("--") + 1 :])
-    bpy.context.preferences.view.show_splash = False
-    stage = Stage(options.out)
-    stage.play(story(stage, options))
+    perform(story, parser)
 
 
 if __name__ == "__main__":
