@@ -12,6 +12,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.errors import GSkinError
 from ..core.skinning.edits.body_graph import BodyGraph, body_graph
 from ..core.splats.cloud import SH_C0
 from . import names
@@ -122,13 +123,21 @@ def enter_edit_mode(context: bpy.types.Context, obj: bpy.types.Object, mask: Mas
 
 
 def posed_points(obj: bpy.types.Object) -> Array:
-    """(N, 3) where the splats are now in the world, as Blender evaluates their modifiers but for the display."""
+    """(N, 3) where the splats are now in the world, as Blender evaluates their modifiers but for the display.
+
+    Raises GSkinError: in Edit Mode, where a modifier leaves splats out.
+    """
     from .node_groups import find_display
 
-    if obj.mode == "EDIT":  # where the display does not run
+    if obj.mode == "EDIT":
+        data: ObjectData = obj.data
+        count = len(bmesh.from_edit_mesh(data).verts)
         edited: Any = obj.evaluated_get(bpy.context.evaluated_depsgraph_get())
-        points = read_positions(edited.to_mesh()).astype(np.float64)
+        # Behind the splats there may be points that the display adds for the shader.
+        points = read_positions(edited.to_mesh())[:count].astype(np.float64)
         edited.to_mesh_clear()
+        if len(points) != count:
+            raise GSkinError(f"Modifiers of '{obj.name}' change how many splats there are; switch them off here.")
         return _in_world(points, edited)
     display = find_display(obj)
     shown = display is not None and display.show_viewport

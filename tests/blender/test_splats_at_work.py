@@ -27,6 +27,7 @@ from gskin_addon.scene.node_groups import add_display, find_display, get_display
 from gskin_addon.scene.overlay import is_of_before, set_overlay, show_moves_with, show_stretch
 from gskin_addon.scene.posing import posed_cloud
 from gskin_addon.scene.rotation_nodes import find_rotation
+from gskin_addon.scene.selecting import posed_points
 from gskin_addon.scene.splat_object import create_splat_object
 from gskin_addon.scene.steps import run_to_end
 from gskin_addon.scene.viewport import cages, following, marks, selection, switch, visible
@@ -96,6 +97,23 @@ def test_edit_mode_shows_the_posed_splats_and_draws_nothing_anew(scene):
     mode("OBJECT")
     after = noticed(obj)[0]
     assert (after.rest_key, after.pose_key) == (before.rest_key, before.pose_key)
+
+
+def test_edit_mode_knows_where_its_splats_are(scene):
+    """The display adds points of its own for the shader; they are no splats."""
+    obj, _ = scene
+    wanted = posed_cloud(obj).means
+    noticed(obj)
+    mode("EDIT")
+    noticed(obj)
+    np.testing.assert_allclose(posed_points(obj), wanted, atol=1e-5)
+    bpy.ops.mesh.select_all(action="SELECT")
+    view = np.eye(4)
+    view[2, 3] = -5
+    lens = np.diag([0.5, 0.5, -0.02, 1.0])
+    bpy.ops.gskin.select_in_front(view=view.ravel(), lens=lens.ravel(), depth=3)
+    front = np.array([vert.select for vert in bmesh.from_edit_mesh(obj.data).verts])
+    assert wanted[front, 2].mean() > wanted[~front, 2].mean()
 
 
 def test_undo_in_edit_mode_keeps_the_harmonics(scene):
