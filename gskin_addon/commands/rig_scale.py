@@ -22,8 +22,9 @@ def fit_rig_scale(splats: bpy.types.Object, armature: bpy.types.Object, wanted: 
 
     Raises InputError where it is so much too large that no job can be right, or the factor to use cannot be told.
     """
-    from ..scene.rig_fit import guess_rig_scale, sample_splats, scale_rig, to_world
+    from ..scene.rig_fit import guess_rig_scale, sample_splats, scale_rig
     from ..scene.splat_object import splat_count
+    from ..scene.transforms import points_in_world
 
     name = f"Armature '{armature.name}'"
     if isinstance(wanted, float):
@@ -31,7 +32,7 @@ def fit_rig_scale(splats: bpy.types.Object, armature: bpy.types.Object, wanted: 
         print_message(f"{name} was scaled by {wanted:.6g}.")
     if splat_count(splats) < 2:
         return  # the job says so
-    guess = guess_rig_scale(to_world(sample_splats(splats).points, splats), armature)
+    guess = guess_rig_scale(points_in_world(sample_splats(splats).points, splats), armature)
     if guess.factor == 1.0:
         if wanted == AUTO:
             print_message(f"{name} has the size of the splats, and stays as it is.")

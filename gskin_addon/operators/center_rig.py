@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import bpy
 
-from ..scene.rig_fit import move_rig, rest_skeleton, sample_splats, step_to_fit, to_world
+from ..scene.rig_fit import move_rig, rest_skeleton, sample_splats, step_to_fit
+from ..scene.transforms import points_in_world
 from ..session.chosen import chosen_armature, chosen_splats
 from ._rig_and_splats import can_move_rig
 
@@ -24,7 +25,7 @@ class GSKIN_OT_center_rig(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         splats, armature = chosen_splats(context), chosen_armature(context)
         context.view_layer.update()
-        step = step_to_fit(to_world(sample_splats(splats).points, splats), rest_skeleton(armature))
+        step = step_to_fit(points_in_world(sample_splats(splats).points, splats), rest_skeleton(armature))
         top = move_rig(armature, step)
         self.report({"INFO"}, f"'{top.name}' was moved into '{splats.name}'")
         return {"FINISHED"}

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import bpy
 
-from ..scene.rig_fit import guess_rig_scale, sample_splats, scale_rig, to_world
+from ..scene.rig_fit import guess_rig_scale, sample_splats, scale_rig
+from ..scene.transforms import points_in_world
 from ..session.chosen import chosen_armature, chosen_splats
 from ._rig_and_splats import can_move_rig
 
@@ -24,7 +25,7 @@ class GSKIN_OT_fix_rig_scale(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         splats, armature = chosen_splats(context), chosen_armature(context)
         context.view_layer.update()
-        guess = guess_rig_scale(to_world(sample_splats(splats).points, splats), armature)
+        guess = guess_rig_scale(points_in_world(sample_splats(splats).points, splats), armature)
         top = scale_rig(armature, guess.factor, about_world=guess.about_world)
         self.report({"INFO"}, f"'{top.name}' was scaled by {guess.factor:.3g}")
         return {"FINISHED"}

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..core.skeleton.landmarks import NAMES
 from ..scene.landmarks import add_landmark, read_landmarks, remove_landmarks
-from ..scene.rig_fit import to_world
+from ..scene.transforms import points_in_world
 from ..scene.weight_edits import selected_splats
 from ..session.chosen import chosen_splats
 
@@ -46,14 +46,13 @@ class GSKIN_OT_mark_landmark(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         splats = chosen_splats(context)
         if splats.mode == "EDIT":
-            splats.update_from_editmode()
             selected = selected_splats(splats)
             if not selected.any():
                 self.report({"ERROR"}, f"No splats of '{splats.name}' are selected; select some at that end.")
                 return {"CANCELLED"}
             points = np.empty(3 * len(selected), np.float32)
             splats.data.vertices.foreach_get("co", points)  # in Edit Mode attributes cannot be read
-            place = to_world(points.reshape(-1, 3)[selected].astype(np.float64), splats).mean(axis=0)
+            place = points_in_world(points.reshape(-1, 3)[selected].astype(np.float64), splats).mean(axis=0)
         else:
             place = np.array(context.scene.cursor.location, np.float64)
         empty = add_landmark(splats, self.name, place)

@@ -51,6 +51,13 @@ def read_attribute(mesh: ObjectData, name: str) -> NDArray[Any] | None:
     return flat if width == 1 else flat.reshape(-1, width)
 
 
+def read_flags(mesh: ObjectData, name: str) -> NDArray[np.bool_]:
+    """`select` or `hide` (N,) of a mesh's vertices; while it is edited, as they were before."""
+    flags = np.zeros(len(mesh.vertices), np.bool_)
+    mesh.vertices.foreach_get(name, flags)
+    return flags
+
+
 def read_positions(mesh: ObjectData) -> NDArray[np.float32]:
     """Positions (N, 3) of the vertices or points in the object's own space."""
     places = mesh.attributes["position"].data

@@ -19,7 +19,7 @@ from ..core.skinning.edits.separate import FAR, steps_between
 from ..core.skinning.fabric import Fabric, fabric_triangles
 from ..core.skinning.walls import blocked
 from .armature import deform_bone_names, read_skeleton
-from .attributes import ObjectData
+from .attributes import ObjectData, read_flags
 from .bone_frames import armature_of
 from .influences import strongest_bone
 from .object_ref import ObjectRef, object_by_uid
@@ -206,8 +206,7 @@ def _add(mesh: ObjectData, fabric: Fabric) -> None:
 def select_with_points(mesh: ObjectData) -> None:
     """Let exactly those edges and faces of a mesh be selected whose points all are: Edit Mode would select the points
     of others with them. Outside of Edit Mode."""
-    selected = np.zeros(len(mesh.vertices), np.bool_)
-    mesh.vertices.foreach_get("select", selected)
+    selected = read_flags(mesh, "select")
     if ".select_edge" in mesh.attributes:
         whole = selected[_read(mesh, _EDGE, 2)].all(axis=1)
         mesh.attributes[".select_edge"].data.foreach_set("value", np.ascontiguousarray(whole))

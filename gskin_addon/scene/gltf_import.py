@@ -20,6 +20,7 @@ from .attributes import read_positions
 from .bone_frames import armature_modifier
 from .rig_files import import_objects
 from .splat_object import splat_count
+from .transforms import points_in_world
 from .weights import read_weights, write_weights
 
 _SAME = 1e-4
@@ -56,8 +57,7 @@ def bring_rig_of(path: Path, obj: bpy.types.Object, kept: NDArray[np.int64]) -> 
 
 def _same_places(mesh: bpy.types.Object, obj: bpy.types.Object, kept: NDArray[np.int64]) -> bool:
     bpy.context.view_layer.update()
-    matrix = np.array(mesh.matrix_world, np.float64)
-    there = read_positions(mesh.data).astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    there = points_in_world(read_positions(mesh.data).astype(np.float64), mesh)
     here = read_positions(obj.data).astype(np.float64)
     if splat_count(obj) != len(kept):
         raise InputError(f"'{obj.name}' changed while its file was read; import it again.")

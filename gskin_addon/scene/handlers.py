@@ -5,9 +5,9 @@ playback or rendering.
 Blender names in each update the meshes whose data was touched: by brushes, Edit Mode, any tool of vertex groups,
 scripts, undo, redo, files. The weights of those are compared with what turns the splats, and taken over where they
 differ: in slices while Blender goes on, once painting or editing has ended, or once a stroke has where the splats are
-seen while weights are painted. Bones that come, go, or get segments are
-noticed by the armature; a copy of splats together with their armature is turned by its own; splats that get an Armature
-modifier by hand get the rotation nodes too; where the armature is gone, nodes and helper go.
+seen while weights are painted. Bones that come, go, or get segments are noticed by the armature; a copy of splats
+together with their armature is turned by its own; splats that get an Armature modifier by hand get the rotation nodes
+too; where the armature is gone, nodes and helper go.
 
 What is written here is made of the weights alone, so that it needs no undo step of its own: whatever state undo brings
 back, it is compared anew.

@@ -18,8 +18,9 @@ from ..core.skeleton.read import READERS, read_skeleton_file
 from .fitted_rig import create_armature
 from .object_ref import object_by_uid
 from .rig_files import ARMATURE_SUFFIXES, import_armature
-from .rig_fit import place_rig, rest_skeleton, sample_splats, to_world
+from .rig_fit import place_rig, rest_skeleton, sample_splats
 from .steps import Steps, in_thread, part_of, run_to_end
+from .transforms import points_in_world
 
 SUFFIXES = (*READERS, *ARMATURE_SUFFIXES, ".vrm")
 
@@ -46,7 +47,7 @@ def iter_import_skeleton(
         raise InputError(f"'{path}' does not exist; check the path of the skeleton file.")
     yield 0.0  # the file browser has closed, which is drawn first
     bpy.context.view_layer.update()
-    points = None if splats is None else to_world(sample_splats(splats).points, splats)
+    points = None if splats is None else points_in_world(sample_splats(splats).points, splats)
     yield 0.2
     suffix = path.suffix.lower()
     if suffix in READERS:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..core.errors import InputError
 from ..core.render.camera import Camera, orbit_views, percentile_bounds
 from ..core.render.fragments import draw
+from ..core.rig.influences import Influences
 from ..core.rig.lbs import skin_cloud
 from ..core.skinning.subset import choose_subset
 from ..core.splats.cloud import SH_C0, SplatCloud
@@ -56,12 +57,9 @@ def iter_previews(
 
 def _dense(index: Array, value: Array, bones: int) -> Array:
     """Weights (M, B + 1) with rows that sum to 1; what has none follows the last, which never moves."""
-    weights = np.zeros((len(index), bones + 1), np.float32)
-    rows = np.repeat(np.arange(len(index))[:, None], index.shape[1], axis=1)
     known = (index >= 0) & (value > 0)
-    np.add.at(weights, (rows[known], index[known]), value[known])
-    total = weights.sum(axis=1, keepdims=True)
-    weights[:, -1] = total[:, 0] <= 0
+    weights = Influences(np.where(known, index, bones), np.where(known, value, 0)).dense(bones + 1)
+    weights[:, -1] = weights.sum(axis=1) <= 0
     return weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
 
 

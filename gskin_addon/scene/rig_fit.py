@@ -19,6 +19,7 @@ from . import names
 from .actions import keys_place
 from .attributes import ObjectData, read_attribute, read_positions
 from .dependencies import is_animated, needed_objects
+from .transforms import points_in_world
 
 Array = NDArray[Any]
 
@@ -57,12 +58,6 @@ def sample_splats(obj: bpy.types.Object) -> SplatSample:
     return SplatSample(kept.astype(np.float64), float(stray.mean()), reach, size)
 
 
-def to_world(points: Array, obj: bpy.types.Object) -> Array:
-    """Points (n, 3) of the object's space in the world, as of the last update."""
-    matrix = np.array(obj.matrix_world, dtype=np.float64)
-    return points @ matrix[:3, :3].T + matrix[:3, 3]
-
-
 def rest_skeleton(armature: bpy.types.Object) -> Skeleton:
     """The deform bones at rest in the world, as of the last update; without rest rotations.
 
@@ -72,7 +67,7 @@ def rest_skeleton(armature: bpy.types.Object) -> Skeleton:
     bones = [bone for bone in data.bones if bone.use_deform]
     index = {bone.name: place for place, bone in enumerate(bones)}
     parents = [next((index[up.name] for up in bone.parent_recursive if up.name in index), -1) for bone in bones]
-    ends = [to_world(np.array([getattr(b, end) for b in bones], np.float64).reshape(-1, 3), armature)
+    ends = [points_in_world(np.array([getattr(b, end) for b in bones], np.float64).reshape(-1, 3), armature)
             for end in ("head_local", "tail_local")]  # fmt: skip
     return Skeleton(tuple(index), np.array(parents), *ends)
 

@@ -16,12 +16,13 @@ from ..core.errors import GSkinError
 from ..core.skinning.edits.body_graph import BodyGraph, body_graph
 from ..core.splats.cloud import SH_C0
 from . import names
-from .attributes import ObjectData, read_attribute, read_positions
+from .attributes import ObjectData, read_attribute, read_flags, read_positions
 from .fabric import select_with_points
 from .seams import read_seams
 from .splat_object import read_cloud
 from .stand_in import mesh_uid
 from .steps import Steps, in_thread, run_to_end
+from .transforms import points_in_world
 
 Array = NDArray[Any]
 Mask = NDArray[np.bool_]
@@ -76,16 +77,12 @@ def base_colors(obj: bpy.types.Object) -> Array:
 
 def selected_now(obj: bpy.types.Object) -> Mask:
     """(N,) the splats that are selected and not hidden. Outside of Edit Mode."""
-    selected = np.zeros(len(obj.data.vertices), np.bool_)
-    obj.data.vertices.foreach_get("select", selected)
-    return selected & ~hidden_now(obj)
+    return read_flags(obj.data, "select") & ~hidden_now(obj)
 
 
 def hidden_now(obj: bpy.types.Object) -> Mask:
     """(N,) the splats that Edit Mode and Weight Paint hide. Outside of Edit Mode."""
-    hidden = np.zeros(len(obj.data.vertices), np.bool_)
-    obj.data.vertices.foreach_get("hide", hidden)
-    return hidden
+    return read_flags(obj.data, "hide")
 
 
 def active_splat(obj: bpy.types.Object) -> int | None:
@@ -138,7 +135,7 @@ def posed_points(obj: bpy.types.Object) -> Array:
         edited.to_mesh_clear()
         if len(points) != count:
             raise GSkinError(f"Modifiers of '{obj.name}' change how many splats there are; switch them off here.")
-        return _in_world(points, edited)
+        return points_in_world(points, edited)
     display = find_display(obj)
     shown = display is not None and display.show_viewport
     if shown:
@@ -151,9 +148,4 @@ def posed_points(obj: bpy.types.Object) -> Array:
             display.show_viewport = True
     if len(points) != len(obj.data.vertices):
         points = read_positions(obj.data).astype(np.float64)
-    return _in_world(points, evaluated)
-
-
-def _in_world(points: Array, obj: bpy.types.Object) -> Array:
-    matrix = np.array(obj.matrix_world, np.float64)
-    return points @ matrix[:3, :3].T + matrix[:3, 3]
+    return points_in_world(points, evaluated)

@@ -60,3 +60,9 @@ def similarity_as_shown(obj: bpy.types.Object, *, mirrored: bool = False) -> tup
         raise InputError(f"'{obj.name}' is scaled unevenly ({sizes}); {remedy} and try again.")
     u, _, vt = np.linalg.svd(rotation)
     return u @ vt, scale, matrix[:3, 3]
+
+
+def points_in_world(points: Array, obj: bpy.types.Object) -> Array:
+    """Points (N, 3) of the object's space in the world, as of the last update."""
+    matrix = np.array(obj.matrix_world, np.float64)
+    return points @ matrix[:3, :3].T + matrix[:3, 3]

@@ -16,6 +16,7 @@ from ..core.skinning.edits.assign import normalise
 from ..core.skinning.edits.keep import keep
 from . import names
 from .armature import deform_bone_names
+from .attributes import read_flags
 from .binding import bind, check_splats
 from .bone_frames import armature_of, bone_order
 from .compared import mark_edited
@@ -124,12 +125,11 @@ def selected_splats(obj: bpy.types.Object) -> Array:
     face selection those of the selected faces."""
     if obj.mode == "EDIT":
         obj.update_from_editmode()
-    selected = np.zeros(len(obj.data.vertices), np.bool_)
     if obj.mode == "WEIGHT_PAINT" and obj.data.use_paint_mask:
+        selected = np.zeros(len(obj.data.vertices), np.bool_)
         selected[_corners_of_selected_faces(obj)] = True
         return selected
-    obj.data.vertices.foreach_get("select", selected)
-    return selected
+    return read_flags(obj.data, "select")
 
 
 def shows_selection(obj: bpy.types.Object) -> bool:

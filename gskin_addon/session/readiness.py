@@ -20,10 +20,10 @@ from ..scene.native_nodes import POSITION_STEPS
 from ..scene.node_groups import draws_native
 from ..scene.placement import is_placed, shift_of, up_of
 from ..scene.proxy_object import followed_armature
-from ..scene.rig_fit import SplatSample, guess_rig_scale, rest_skeleton, sample_splats, to_world
+from ..scene.rig_fit import SplatSample, guess_rig_scale, rest_skeleton, sample_splats
 from ..scene.single_user import sharers
 from ..scene.splat_object import splat_count
-from ..scene.transforms import similarity_as_shown
+from ..scene.transforms import points_in_world, similarity_as_shown
 from . import learning_runtime
 from .chosen import chosen_armature, chosen_blender_splats, chosen_splats, panel_settings
 from .preferences import job_python, worker_python
@@ -222,7 +222,7 @@ def _remember(kept: dict[tuple[Any, ...], Any], key: tuple[Any, ...], make: Any)
 def _look(
     splats: bpy.types.Object, armature: bpy.types.Object, sample: SplatSample, bound: bool
 ) -> list[Check]:
-    points, skeleton = to_world(sample.points, splats), rest_skeleton(armature)
+    points, skeleton = points_in_world(sample.points, splats), rest_skeleton(armature)
     found = [_size_check(points, skeleton, armature, bound)]
     # A rig of a wrong size lies elsewhere, too: the place is looked at when the size will do.
     if found[0].state != "stop":

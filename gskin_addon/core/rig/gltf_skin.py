@@ -58,13 +58,14 @@ def read_gltf_skin(path: Path, *, splats: bool = False) -> Skinned:
             "joints that move nothing."
         )
     place = {joint: column for column, joint in enumerate(joints)}
-    rests = _rests(file, scene, [part.inverse() for part in parts])
+    inverses = [part.inverse() for part in parts]
+    rests = _rests(file, scene, inverses)
     verts, weights = np.zeros((total, 3)), np.zeros((total, len(joints)), np.float32)
     faces, start = [np.zeros((0, 3), np.int64)], 0
     turn = up_rotation("y")
-    for part in parts:
+    for part, inverse in zip(parts, inverses, strict=True):
         rows = slice(start, start + part.count)
-        matrix = part.rest(rests)
+        matrix = part.rest(rests, inverse)
         verts[rows] = (part.attribute("POSITION", 3) @ matrix[:3, :3].T + matrix[:3, 3]) @ turn.T
         part.add_weights(weights[rows], np.array([place[joint] for joint in part.joints]))
         faces.append(part.faces() + start)
@@ -103,12 +104,12 @@ class _Part:
         matrices = every[: len(self.joints)].reshape(-1, 4, 4).transpose(0, 2, 1).astype(np.float64)
         return dict(zip(self.joints, matrices, strict=True))
 
-    def rest(self, rests: Mapping[int, Array]) -> Array:
-        """The matrix (4, 4) from the vertices to the scene, at rest, from `_rests`."""
+    def rest(self, rests: Mapping[int, Array], inverse: Mapping[int, Array]) -> Array:
+        """The matrix (4, 4) from the vertices to the scene, at rest, from `_rests` and `inverse`."""
         joint = next((node for node in rests if node in self.joints), None)  # none of the skin is above it
         if joint is None:
             raise damaged(self.file.path, f"joint {self.joints[0]} is not in its scene")
-        return rests[joint] @ self.inverse()[joint]
+        return rests[joint] @ inverse[joint]
 
     def add_weights(self, out: Array, columns: Array) -> None:
         """Add the weights to out (V, B); columns (J,) of the joints."""

@@ -74,11 +74,10 @@ HANDLERS = (
 def _switched(scene: bpy.types.Scene, context: bpy.types.Context) -> None:
     if switch.setting(scene):
         switch.try_again()
-    switch.apply_to_all()
-    redraw()
+    _show_anew()
 
 
-def _after_registering() -> None:
+def _show_anew() -> None:
     switch.apply_to_all()
     redraw()
 
@@ -101,12 +100,12 @@ def register() -> None:
     )
     if not bpy.app.background:
         # While add-ons register, the file cannot be changed.
-        bpy.app.timers.register(_after_registering, first_interval=0.0)
+        bpy.app.timers.register(_show_anew, first_interval=0.0)
 
 
 def unregister() -> None:
-    if bpy.app.timers.is_registered(_after_registering):
-        bpy.app.timers.unregister(_after_registering)
+    if bpy.app.timers.is_registered(_show_anew):
+        bpy.app.timers.unregister(_show_anew)
     if hasattr(bpy.data, "objects"):  # not while Blender itself ends
         switch.give_ellipsoids_back()
     scenes: Any = bpy.types.Scene

@@ -12,6 +12,8 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..attributes import read_flags
+
 Mask = NDArray[np.bool_]
 
 _version: dict[int, int] = {}
@@ -70,10 +72,7 @@ def _from_edit_mode(obj: bpy.types.Object) -> tuple[Mask, Mask, int]:
 
 
 def _from_mesh(obj: bpy.types.Object) -> tuple[Mask, Mask, int]:
-    selected, hidden = (np.zeros(len(obj.data.vertices), np.bool_) for _ in range(2))
-    obj.data.vertices.foreach_get("select", selected)
-    obj.data.vertices.foreach_get("hide", hidden)
-    return selected, hidden, -1
+    return read_flags(obj.data, "select"), read_flags(obj.data, "hide"), -1
 
 
 def changed(obj: bpy.types.Object) -> None:

@@ -217,10 +217,7 @@ def splat_shader(*, behind_others: bool) -> Any:
     info.push_constant("VEC2", "size")
     info.vertex_in(0, "VEC2", "side")
     info.vertex_out(between)
-    info.fragment_out(0, "VEC4", "fragColor")
-    info.vertex_source(_SPLAT_VERTEX)
-    info.fragment_source(_SPLAT_FRAGMENT)
-    return gpu.shader.create_from_info(info)
+    return _compiled(info, _SPLAT_VERTEX, _SPLAT_FRAGMENT)
 
 
 @cache
@@ -235,10 +232,7 @@ def composite_shader() -> Any:
     info.push_constant("FLOAT", "keep_overlay")
     info.push_constant("INT", "reach")
     info.vertex_in(0, "VEC2", "side")
-    info.fragment_out(0, "VEC4", "fragColor")
-    info.vertex_source(_SCREEN_VERTEX)
-    info.fragment_source(_COMPOSITE_FRAGMENT)
-    return gpu.shader.create_from_info(info)
+    return _compiled(info, _SCREEN_VERTEX, _COMPOSITE_FRAGMENT)
 
 
 @cache
@@ -255,10 +249,7 @@ def mark_shader() -> Any:
     info.push_constant("VEC2", "size")
     info.vertex_in(0, "VEC2", "side")
     info.vertex_out(between)
-    info.fragment_out(0, "VEC4", "fragColor")
-    info.vertex_source(_MARK_VERTEX)
-    info.fragment_source(_MARK_FRAGMENT)
-    return gpu.shader.create_from_info(info)
+    return _compiled(info, _MARK_VERTEX, _MARK_FRAGMENT)
 
 
 @cache
@@ -267,9 +258,14 @@ def occluder_shader() -> Any:
     info = gpu_types.GPUShaderCreateInfo()
     info.push_constant("MAT4", "to_clip")
     info.vertex_in(0, "VEC3", "point")
+    return _compiled(info, _OCCLUDER_VERTEX, _OCCLUDER_FRAGMENT)
+
+
+def _compiled(info: Any, vertex: str, fragment: str) -> Any:
+    """The shader of two sources; its colour goes to `fragColor`."""
     info.fragment_out(0, "VEC4", "fragColor")
-    info.vertex_source(_OCCLUDER_VERTEX)
-    info.fragment_source(_OCCLUDER_FRAGMENT)
+    info.vertex_source(vertex)
+    info.fragment_source(fragment)
     return gpu.shader.create_from_info(info)
 
 
